@@ -8,8 +8,8 @@ import typer
 
 from cvxshear.cli import frames, modes_and_check, studies
 from cvxshear.cli.options import documented
-from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed, used
-from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
+from cvxshear.cli.output import OutputError, lost, present, sound_streams, typed, used
+from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 STATUSES = (
     "Exit status: 0 done, whatever the verdict; 1 no solution was found, or standard output could not be written; "
@@ -52,11 +52,7 @@ def _options(
     verbose: Annotated[
         int, typer.Option("--verbose", "-v", count=True, help="Log what is done to standard error; twice: in detail.")
     ] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, and no log but of errors.")] = False,
 ) -> None:
-    if quiet and verbose:
-        raise InputError("give --quiet or --verbose, not both")
-    silence(quiet)
     if verbose:
         import logging
 

@@ -13,17 +13,14 @@ import typer
 import cvxshear
 from cvxshear.cli import options
 from cvxshear.cli.modes_and_check import DOUBT_STATUS, MISTAKE_STATUS, measured, records_in_json, tables_of
-from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show, used
+from cvxshear.cli.output import doubts_of, names, numbers, progress, show, used
 from cvxshear.report import terminal
 from cvxshear.util.errors import NoScaleError, UnsuitableError
 from cvxshear.util.results import as_json
-from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from cvxshear.response import IdentifiedDamping, Models, Reconstruction, RecordPrediction
-    from cvxshear.screening import FileFinding, History
+    from cvxshear.response import Models, Reconstruction, RecordPrediction
+    from cvxshear.screening import FileFinding
 
 
 def identify(
@@ -32,7 +29,6 @@ def identify(
     backend: options.BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
-    report: options.ReportOut = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -54,20 +50,12 @@ def identify(
     # The solvers load slowly, and the help does not need them.
     from cvxshear import screening
 
-    files_of = outputs.prepared(cvxshear.Identification)
+    outputs.check(cvxshear.Identification)
     experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
     doubts = screening.refuse_mistakes(experiment)
     method = method or (None if start is None else "two-stage")
     result = cvxshear.identify(experiment, method=method, backend=backend, initial_mass=start, tolerance=tolerance)
-    said = {**result.to_dict(), "warnings": as_json(doubts)}
-    deliver(
-        said,
-        outputs.out,
-        lambda: [*doubts_of(doubts), *terminal.shown(result)],
-        *files_of(result),
-        *([] if report is None else [partial(_write_page, report, result)]),
-        title=experiment.report.title or experiment.name,
-    )
+    outputs.deliver(result, doubts=doubts)
 
 
 def loop(
@@ -76,7 +64,6 @@ def loop(
     assume: str | None = None,
     backend: options.BackendName = "auto",
     jobs: int = 1,
-    report: options.ReportOut = None,
     strict: bool = False,
     *,
     outputs: options.ResultOptions,
@@ -106,9 +93,7 @@ def loop(
         rows = ((effect.name, effect.summary) for effect in known.catalogue())
         show([terminal.plain_table("Effects", "name", "what it is", words=(0, 1), rows=rows)])
         raise typer.Exit
-    files_of = outputs.prepared(cvxshear.LoopResult)
-    if report is not None:
-        from cvxshear.report.html import render
+    outputs.check(cvxshear.LoopResult)
     with progress("closing the loop", outputs.quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
         # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
@@ -129,28 +114,23 @@ def loop(
     said = {
         **result.to_dict(),
         "information": [*result.information, *without],
-        **records_in_json(found),
+        **({"modes": found[0].modes.to_dict()} if len(found) == 1 else {}),
+        **({"records": records_in_json(found)} if len(found) > 1 else {}),
         "damping": as_json(damping),
     }
-    files = files_of(result)
-    if report is not None:
-        files.append(lambda: write_file(report, render(result, as_typed())))
-    deliver(
-        said,
-        outputs.out,
-        lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result), *_damped(damping), *without],
-        *files,
-        title=experiment.report.title or experiment.name,
+    outputs.deliver(
+        result,
+        said=said,
+        tables=lambda: [
+            *tables_of(found),
+            *doubts_of(result.warnings),
+            *terminal.shown(result),
+            *([] if damping is None else ["", *terminal.shown(damping)]),
+            *without,
+        ],
     )
     if strict and not VERDICTS[result.verdict].certain:
         raise typer.Exit(DOUBT_STATUS)
-
-
-def _damped(damping: IdentifiedDamping | None) -> Iterator[RenderableType]:
-    """Render the damping of a frame, if it is known."""
-    if damping is not None:
-        yield ""
-        yield from terminal.shown(damping)
 
 
 @dataclass(frozen=True)
@@ -179,16 +159,13 @@ class Motion:
     assume: str | None = None
     detrend: bool = True
     series: options.SeriesOut = None
-    report: options.ReportOut = None
 
     def written(self, result: RecordPrediction | Reconstruction) -> Iterator[options.Writer]:
-        """Yield the functions that write the requested time series and report of a result."""
+        """Yield the function that writes the requested time series of a result."""
         from cvxshear.report.responses import write_series
 
         if self.series is not None:
             yield partial(write_series, self.series, result)
-        if self.report is not None:
-            yield partial(_write_page, self.report, result)
 
     def screened(self) -> tuple[Models, Sequence[FileFinding]]:
         """Close the loop on a measurement; return its models and warnings."""
@@ -213,12 +190,6 @@ class Motion:
         return {name: getattr(self, name) for name in shared}
 
 
-def _write_page(path: str, result: cvxshear.Identification | RecordPrediction | Reconstruction | History) -> None:
-    from cvxshear.report.html import render_described
-
-    write_file(path, render_described(result, as_typed()))
-
-
 def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
     """Predict how every floor answers to a record, beside what was measured.
 
@@ -231,11 +202,11 @@ def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
     """
     from cvxshear import response
 
-    files_of = outputs.prepared(response.RecordPrediction)
+    outputs.check(response.RecordPrediction)
     with progress("predicting", outputs.quiet):
         source, doubts = motion.screened()
         result = response.predict(source, motion.record, **motion.model)
-    _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
+    outputs.deliver(result, *motion.written(result), doubts=doubts)
 
 
 def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: options.ResultOptions) -> None:
@@ -254,19 +225,18 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
     """
     from cvxshear import response
 
-    files_of = outputs.prepared(response.Reconstruction)
+    outputs.check(response.Reconstruction)
     with progress("reconstructing", outputs.quiet) as advance:
         source, doubts = motion.screened()
         result = response.reconstruct(
             source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model
         )
-    _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
+    outputs.deliver(result, *motion.written(result), doubts=doubts)
 
 
 def history(
     folder: Annotated[str, typer.Argument(metavar="FOLDER")],
     backend: options.BackendName = "auto",
-    report: options.ReportOut = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -283,24 +253,10 @@ def history(
     """
     from cvxshear import screening
 
-    files_of = outputs.prepared(screening.History)
+    outputs.check(screening.History)
     used.extend(map(str, sorted(Path(folder).glob("*.toml"))))
     with progress("reading the tests", outputs.quiet):
         result = cvxshear.history(folder, backend)
-    files = files_of(result)
-    if report is not None:
-        files.append(partial(_write_page, report, result))
-    deliver(result.to_dict(), outputs.out, lambda: terminal.shown(result), *files, title=result.loop.experiment.name)
+    outputs.deliver(result)
     if result.skipped:
         raise typer.Exit(MISTAKE_STATUS)
-
-
-def _deliver_motion(
-    result: RecordPrediction | Reconstruction,
-    doubts: Sequence[FileFinding] | None,
-    out: str | None,
-    *files: options.Writer,
-) -> None:
-    from cvxshear.screening import in_json
-
-    deliver({**result.to_dict(), **in_json(doubts)}, out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)

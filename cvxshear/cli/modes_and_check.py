@@ -13,11 +13,11 @@ from rich.console import RenderableType
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
+from cvxshear.cli.output import deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
 from cvxshear.util.errors import CvxshearError, InputError
-from cvxshear.util.writing import check_output, write_file
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.records import IdentifiedRecord, ModalResult
@@ -111,7 +111,6 @@ def modes(
     accept_swapped: bool = False,
     each_run: bool = False,
     jobs: int = 1,
-    report: options.ReportOut = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -144,17 +143,15 @@ def modes(
     from cvxshear.records import ModalResult
     from cvxshear.report.from_records import poles_table
 
-    sources = _files(records, output)
-    files_of = outputs.prepared(ModalResult)
-    if report is not None:
-        from cvxshear.report.html import render_modes
+    sources = list(dict.fromkeys(records))
+    outputs.check(ModalResult)
     with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(
             sources,
             each_run=each_run,
             jobs=jobs,
             progress=advance,
-            functions=bool(outputs.figure) or report is not None,
+            functions=bool(outputs.figure) or outputs.report is not None,
             method=method,
             count=count,
             accept_swapped=accept_swapped,
@@ -164,18 +161,18 @@ def modes(
     _complain(errors)
     tests = _kept(found)
     if tests:
-        results = [test.modes for test in tests]
-        files = files_of(*results)
-        if output is not None:
-            files.append(lambda: write_merged(output, tests))
-        if report is not None:
-            page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
-            files.append(lambda: write_file(report, page()))
-        deliver(
-            _said(sources, found),
-            outputs.out,
-            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == options.LIST else tables_of(tests),
-            *files,
+        results, reasons = [test.modes for test in tests], list(map(str, errors))
+        failed = [
+            {"file": next((file for file in sources if file in said), sources[0]), "reason": said} for said in reasons
+        ]
+        outputs.deliver(
+            results,
+            *([] if output is None else [partial(write_merged, output, tests)]),
+            said=results[0].to_dict() if len(found) == 1 else {"records": records_in_json(tests), "failed": failed},
+            tables=lambda: (
+                map(terminal.HouseTable, map(poles_table, results)) if pick == options.LIST else tables_of(tests)
+            ),
+            failed=reasons,
         )
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
@@ -196,7 +193,7 @@ def measured(
     from cvxshear.io import modes, toml
     from cvxshear.records import merged
 
-    files = list(names) if len(names) == 1 and toml.is_built_in(names[0]) else _files(names)
+    files = list(dict.fromkeys(names))
     if len(files) == 1 and not toml.is_record_file(files[0]):
         return cvxshear.load(files[0]), []
     for file in files:
@@ -232,39 +229,13 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
         yield f"scale: {UNKNOWN_SCALE}"
 
 
-def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
-    """Return the modes of the records for a result's JSON."""
-    if not tests:
-        return {}
-    return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
-
-
-def _files(names: Sequence[str], written: str | None = None) -> list[str]:
-    """Return each record file once, and check that `written` overwrites none of them."""
-    if written is not None:
-        check_output(written, keep=names)
-    return list(dict.fromkeys(names))
+def records_in_json(tests: Sequence[IdentifiedRecord]) -> list[Json]:
+    """Return the modes of each record with the name of its file, for a result's JSON."""
+    return [{"file": test.file, **test.modes.to_dict()} for test in tests]
 
 
 def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:
     return [test for test in found if not isinstance(test, CvxshearError)]
-
-
-def _record(test: IdentifiedRecord) -> Json:
-    return {"file": test.file, **test.modes.to_dict()}
-
-
-def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError]) -> Json:
-    """Return the JSON of one record, or a list of several records with the failed ones."""
-    tests = _kept(found)
-    if len(found) == 1:
-        return tests[0].modes.to_dict()
-    failed = [
-        {"file": next((file for file in files if file in str(error)), files[0]), "reason": str(error)}
-        for error in found
-        if isinstance(error, CvxshearError)
-    ]
-    return {"records": [_record(test) for test in tests], "failed": failed}
 
 
 def _complain(errors: Sequence[CvxshearError]) -> None:

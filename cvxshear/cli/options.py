@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -13,13 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from cvxshear.cli.output import show, used
+from cvxshear.cli.output import as_typed, deliver, doubts_of, show, used
 from cvxshear.report import terminal
+from cvxshear.report.blocks import describe
 from cvxshear.util.errors import InputError
-from cvxshear.util.writing import check_output, same_file
+from cvxshear.util.writing import check_output, same_file, write_file
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from cvxshear.report.figures import FigureEntry
+    from cvxshear.screening import FileFinding
+    from cvxshear.util.typing import Json
 
 #: Writes one file of a result that is known.
 Writer = Callable[[], None]
@@ -210,15 +215,17 @@ SeriesOut = Annotated[
 
 
 @dataclass(frozen=True)
-class TableOptions:
-    """Options of commands that write the tables of their result."""
+class ResultOptions:
+    """Options of commands that write the tables of their result, draw its figures and report it."""
 
     quiet: Quiet = False
     out: JsonOut = None
     csv: CsvOut = None
     xlsx: XlsxOut = None
+    figure: FiguresOut = None
+    report: ReportOut = None
 
-    def prepared(self, result: type) -> Callable[..., list[Writer]]:
+    def check(self, result: type) -> None:
         """Check the requested files before the command runs; `--figure list` prints the figures and ends the command.
 
         Parameters
@@ -226,34 +233,17 @@ class TableOptions:
         result : type
             Type of the results.
 
-        Returns
-        -------
-        callable
-            (*results) -> functions that write the files.
-
         Raises
         ------
         InputError
             If a kind of figure is unknown, or a package for a file is not installed.
         """
-        from cvxshear.io.spreadsheets import load_openpyxl, write_csv, write_xlsx
-
         if self.xlsx is not None:
+            from cvxshear.io.spreadsheets import load_openpyxl
+
             load_openpyxl()
-        asked = [(write, path) for write, path in ((write_csv, self.csv), (write_xlsx, self.xlsx)) if path is not None]
-        return lambda *results: [partial(_tabulate, write, path, results) for write, path in asked]
-
-
-@dataclass(frozen=True)
-class ResultOptions(TableOptions):
-    """Options of commands that write the tables of their result and draw its figures."""
-
-    figure: FiguresOut = None
-
-    def prepared(self, result: type) -> Callable[..., list[Writer]]:
-        tabulated = super().prepared(result)
         if not self.figure:
-            return tabulated
+            return
         from cvxshear.report.figures import figures_of
 
         figures = figures_of(result)
@@ -262,18 +252,64 @@ class ResultOptions(TableOptions):
             rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
             show([terminal.plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
-        wanted = [_split(text, figures) for text in self.figure]
-        return lambda *results: [*(partial(_draw, *each, results) for each in wanted), *tabulated(*results)]
+        for text in self.figure:
+            _split(text, figures)
 
+    def deliver(
+        self,
+        result: Any,
+        *files: Writer,
+        doubts: Sequence[FileFinding] | None = None,
+        said: Json | None = None,
+        tables: Callable[[], Iterable[RenderableType]] | None = None,
+        failed: Sequence[str] = (),
+    ) -> None:
+        """Write the requested files of a result and print it.
 
-def _draw(entry: FigureEntry, path: str, results: Sequence[Any]) -> None:
-    from cvxshear.report.figures import save
+        Parameters
+        ----------
+        result : object
+            A result, or a list of results of one type.
+        *files : callable
+            Each writes one more file.
+        doubts : sequence of FileFinding, optional
+            Warnings of the measurement; None if it was not screened.
+        said : dict, optional
+            JSON. Default: that of the result, with the doubts.
+        tables : callable, optional
+            Returns the tables for the terminal. Default: the doubts and the result.
+        failed : sequence of str, optional
+            Reasons why other results are missing in the report.
+        """
+        from cvxshear.screening import in_json
 
-    save(entry.draw(*results), path)
+        several = isinstance(result, list)
+        deliver(
+            {**result.to_dict(), **in_json(doubts)} if said is None else said,
+            self.out,
+            tables or (lambda: [*doubts_of(doubts), *terminal.shown(result)]),
+            *files,
+            *self._writers(result if several else [result], failed),
+            title=None if several else describe(result).title,
+        )
 
+    def _writers(self, results: Sequence[Any], failed: Sequence[str]) -> Iterator[Writer]:
+        """Yield the functions that write figures, tables and the report of results."""
+        from cvxshear.io.spreadsheets import write_csv, write_xlsx
 
-def _tabulate(write: Callable[..., None], path: str, results: Sequence[object]) -> None:
-    write(path, terminal.sheets_of(*results))
+        for text in self.figure or ():
+            from cvxshear.report.figures import figures_of, save
+
+            entry, path = _split(text, figures_of(type(results[0])))
+            yield partial(lambda entry, path: save(entry.draw(*results), path), entry, path)
+        if (table := self.csv) is not None:
+            yield lambda: write_csv(table, terminal.sheets_of(*results))
+        if (book := self.xlsx) is not None:
+            yield lambda: write_xlsx(book, terminal.sheets_of(*results))
+        if (page := self.report) is not None:
+            from cvxshear.report.html import render
+
+            yield lambda: write_file(page, render(results, as_typed(), failed=failed))
 
 
 def _path(text: str) -> str:

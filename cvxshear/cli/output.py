@@ -156,18 +156,10 @@ def _digest(file: str) -> str | None:
     return hashlib.sha256(content).hexdigest()
 
 
-_silent: list[bool] = [False]
-
-
-def silence(asked: bool) -> None:
-    """Show no progress bars if the user typed `--quiet` before the command."""
-    _silent[0] = asked
-
-
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     """Show a bar on standard error if standard error is a terminal and --quiet is not set."""
-    if quiet or _silent[0] or not sys.stderr.isatty():
+    if quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console

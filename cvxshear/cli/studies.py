@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import as_typed, deliver, doubts_of, numbers, progress
+from cvxshear.cli.output import deliver, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
-from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -35,9 +35,8 @@ def plan(
     criterion: str = "D",
     fresh: bool = False,
     output: options.TomlOut = None,
-    report: options.ReportOut = None,
     *,
-    outputs: options.TableOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
@@ -70,7 +69,7 @@ def plan(
     """
     from cvxshear import planning, screening
 
-    files_of = outputs.prepared(planning.Plan)
+    outputs.check(planning.Plan)
     stds = {"frequency_std": frequency_std, "mode_shape_std": mode_shape_std}
     given = {name: value for name, value in stds.items() if value is not None}
     noise = planning.Declared(**given) if given else None
@@ -83,15 +82,8 @@ def plan(
             measured or file, sensors, tests, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses), goal=goal, criterion=criterion, fresh=fresh,
         )  # fmt: skip
-    files = files_of(result)
-    if output is not None:
-        files.append(lambda: planning.write_template(output, result))
-    if report is not None:
-        from cvxshear.report.html import render_described
-
-        files.append(lambda: write_file(report, render_described(result, as_typed())))
-    said = {**result.to_dict(), **screening.in_json(doubts)}
-    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
+    files = [] if output is None else [partial(planning.write_template, output, result)]
+    outputs.deliver(result, *files, doubts=doubts)
 
 
 def _one_or_many(found: list[Any] | None) -> Any:
@@ -149,14 +141,14 @@ def noise(
     """
     from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
 
-    files_of = outputs.prepared(NoiseStudy)
+    outputs.check(NoiseStudy)
     with progress("three stories", outputs.quiet) as advance:
         of_methods = tuple(listed_names(methods) or ())
         three = noise_study(paper_setups(), of_methods, samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", outputs.quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
-    deliver(said, outputs.out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files_of(three))
+    outputs.deliver(three, said=said, tables=lambda: [*terminal.shown(three), *terminal.shown(six)])
 
 
 def backends(

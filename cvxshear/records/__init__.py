@@ -3,9 +3,9 @@
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.pole_sweep import Criteria
 from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
-from cvxshear.records.result import IdentifiedRecord, ModalResult, from_arrays, from_library, merged
+from cvxshear.records.result import IdentifiedRecord, ModalResult, from_arrays, merged
 
 __all__ = [
     "Channel", "Criteria", "Finding", "FrfRecord", "FrfRun", "IdentifiedRecord", "ModalResult", "Record", "Run",
-    "TimeRecord", "from_arrays", "from_library", "identify_modes", "merged",
+    "TimeRecord", "from_arrays", "identify_modes", "merged",
 ]  # fmt: skip

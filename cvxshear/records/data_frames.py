@@ -128,12 +128,6 @@ SAME_RATE = 0.01
 #: Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate.
 UNEVEN_STEP = 0.25
 
-#: Power of ten, s, of the finest rounding that is looked for; the coarsest is a second.
-FINEST = -9
-#: Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step.
-WHOLE = 1e-4
-#: Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step.
-SHORTEST = 0.75
 #: Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too.
 LONGEST_IN_BAND = 1.5
 #: Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps.
@@ -165,7 +159,7 @@ def sampling_rate_of(time: Floats, table: Stamped, name: str, declared: float | 
     name : str
         What they are called there.
     declared : float, optional
-        Hz; with it the stamps may be coarser than the samples.
+        Hz.
 
     Raises
     ------
@@ -173,7 +167,7 @@ def sampling_rate_of(time: Floats, table: Stamped, name: str, declared: float | 
         Where the stamps do not ascend, have a gap, change their step or show another rate than was declared, naming
         the line.
     """
-    rate = _rate_of_steps(time, table, name, declared)
+    rate = _rate_of_steps(time, table, name)
     if declared is None:
         return rate
     if abs(rate - declared) > SAME_RATE * declared:
@@ -181,7 +175,7 @@ def sampling_rate_of(time: Floats, table: Stamped, name: str, declared: float | 
     return declared
 
 
-def _rate_of_steps(time: Floats, table: Stamped, name: str, declared: float | None) -> float:
+def _rate_of_steps(time: Floats, table: Stamped, name: str) -> float:
     missing = np.flatnonzero(~np.isfinite(time))
     if missing.size:
         raise InputError(f"{table.at(int(missing[0]))}: {name} is missing; samples must be evenly spaced")
@@ -190,21 +184,32 @@ def _rate_of_steps(time: Floats, table: Stamped, name: str, declared: float | No
     odd = np.flatnonzero(np.abs(steps - step) > UNEVEN_STEP * abs(step))
     if step > 0 and not odd.size:
         return float((len(time) - 1) / (time[-1] - time[0]))
-    rate = rate_within_rounding(time, declared)
+    rate = _rate_within_rounding(time, steps)
     if rate is None:
-        _refuse_uneven(time, steps, step, odd, table, name, declared)
+        _refuse_uneven(steps, step, odd, table, name)
     return rate
 
 
-def _refuse_uneven(
-    time: Floats, steps: Floats, step: float, odd: Ints, table: Stamped, name: str, declared: float | None
-) -> NoReturn:
-    repeated = int(np.count_nonzero(steps == 0))
-    if declared is None and repeated > 1 and np.all(steps >= 0) and time[-1] > time[0]:
-        raise InputError(
-            f"{table.source}: {name} is rounded to {rounding_of(time):g} s, more than a sample, so that stamps repeat; "
-            "give sampling_rate, in Hz"
-        )
+def _rate_within_rounding(time: Floats, steps: Floats) -> float | None:
+    """Find the one sampling rate, by least squares, that rounded stamps fit within their rounding; None without it."""
+    if np.any(steps < 0) or not np.any(steps):
+        return None
+    # Steps between rounded stamps are whole multiples of the rounding.
+    usual = np.median(steps[steps > 0])
+    rounding = float(usual * np.diff(np.unique(np.round(np.append(steps, 0.0) / usual, 4))).min())
+    places = np.arange(len(time)) - (len(time) - 1) / 2
+    interval = float(places @ (time - time.mean()) / (places @ places))
+    if np.ptp(time - interval * places) > (1 + UNEVEN_STEP) * rounding:
+        return None
+    multiples, counts = np.unique(np.round(steps / rounding), return_counts=True)
+    rare = 1.0 - counts.max() / len(steps) < LEAST_SHARE
+    # Stamps that mostly repeat are too coarse to show a gap.
+    if rare and interval < LONGEST_IN_BAND * rounding and multiples[np.argmax(counts)] > 0:
+        return None
+    return 1.0 / interval
+
+
+def _refuse_uneven(steps: Floats, step: float, odd: Ints, table: Stamped, name: str) -> NoReturn:
     if step <= 0:
         raise InputError(f"{table.source}: {name} must ascend; its median step is {step:g} s")
     first = int(odd[0])
@@ -226,49 +231,3 @@ def _refuse_uneven(
         f"{table.at(first + 1)}: {name} has a gap of {steps[first]:g} s where the step is {step:g} s "
         f"({quantities.counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
     )
-
-
-def rounding_of(time: Floats) -> float:
-    """Find the coarsest power of ten, s, that all stamps are whole multiples of; 0 where they are of none.
-
-    Parameters
-    ----------
-    time : array, shape (samples,)
-        s.
-    """
-    for power in range(0, FINEST - 1, -1):
-        in_steps = time * 10.0**-power
-        if np.abs(in_steps - np.round(in_steps)).max() < WHOLE:
-            return 10.0**power
-    return 0.0
-
-
-def rate_within_rounding(time: Floats, declared: float | None = None) -> float | None:
-    """Find the one sampling rate that the stamps fit within their rounding, Hz; None where they fit none.
-
-    Parameters
-    ----------
-    time : array, shape (samples,)
-        s.
-    declared : float, optional
-        Hz; the rate where it is known. Without it the stamps must be fine enough to show a missing sample.
-
-    Returns
-    -------
-    float or None
-        By least squares.
-    """
-    rounding = rounding_of(time)
-    if rounding == 0.0:
-        return None
-    places = np.arange(len(time)) - (len(time) - 1) / 2
-    interval = float(places @ (time - time.mean()) / (places @ places))
-    residual = time - time.mean() - interval * places
-    if interval <= 0 or np.ptp(residual) > (1 + UNEVEN_STEP) * rounding:
-        return None
-    if declared is None and interval < SHORTEST * rounding:
-        return None
-    _, counts = np.unique(np.round(np.diff(time) / rounding), return_counts=True)
-    if interval < LONGEST_IN_BAND * rounding and 1.0 - counts.max() / (len(time) - 1) < LEAST_SHARE:
-        return None
-    return 1.0 / interval

@@ -440,18 +440,12 @@ def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
     return frame
 
 
-def _same(one: object, other: object) -> bool:
+def _same(one: Any, other: Any) -> bool:
     """Whether two values say the same; one number for all stories equals a list of it."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    numbers = (int, float, list)
-    if isinstance(one, numbers) and isinstance(other, numbers):
-        try:
-            a, b = np.broadcast_arrays(np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
-        except (TypeError, ValueError):
-            return False
-        return bool(np.allclose(a, b, rtol=1e-9, atol=0.0))
-    return one == other
+    try:
+        return bool(np.all(np.isclose(one, other, rtol=1e-9, atol=0.0)))
+    except (TypeError, ValueError):
+        return bool(one == other)
 
 
 def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
@@ -556,57 +550,6 @@ def from_arrays(
         clock_offsets={},
         covariance=np.diag(np.concatenate([frequency, entries.ravel()]) ** 2),
         uncertainty="as given" if not missing else f"not given for {' and '.join(missing)}",
-    )
-
-
-def from_library(
-    found: Any, *, floors: ArrayLike | None = None, stories: int | None = None, name: str = "library"
-) -> ModalResult:
-    """Modes that pyOMA2 or sdypy-EMA identified.
-
-    Parameters
-    ----------
-    found : pyOMA2 algorithm or result, or sdypy.EMA.Model
-        Its modes have been chosen. Anything with frequencies `Fn` or `nat_freq`, shape (m,), and shapes `Phi` or
-        modal constants `A` of one driving point, shape (channels, m), or with such a `result`. Damping ratios `Xi` or
-        `nat_xi` and the standard deviations `Fn_std` are used where they are there. `Phi_std` is not: it is of another
-        normalization in each version.
-    floors : array_like of int, shape (channels,), optional
-        The floor of each channel; 1, 2, ... where None.
-    stories : int, optional
-    name : str, optional
-
-    Returns
-    -------
-    ModalResult
-
-    Raises
-    ------
-    InputError
-        Where no modes have been chosen, one of them was not found, or there are no shapes.
-    """
-    result = getattr(found, "result", found)
-    frequencies, shapes, damping, std = (
-        next((getattr(result, key) for key in keys if getattr(result, key, None) is not None), None)
-        for keys in (("Fn", "nat_freq"), ("Phi", "A"), ("Xi", "nat_xi"), ("Fn_std",))
-    )
-    if frequencies is None or shapes is None:
-        raise InputError(
-            "the object holds no modes (Fn and Phi, or nat_freq and A): choose modes first, by mpe or a cluster in "
-            "pyOMA2, by select_closest_poles and then get_constants in sdypy"
-        )
-    values = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
-    missing = np.flatnonzero(~(values > 0))
-    if missing.size:
-        raise InputError(f"the library found no pole for mode {missing[0] + 1}: select another frequency for it")
-    return from_arrays(
-        values,
-        np.atleast_2d(np.asarray(shapes).T),
-        floors=floors,
-        stories=stories,
-        name=name,
-        damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
-        frequency_std=None if std is None else np.atleast_1d(std) / values,
     )
 
 

@@ -268,12 +268,15 @@ class Document:
     sections : tuple of Section
     data : tuple of Table
         Tables for programs, the main one first; the key of a table is the name of its sheet.
+    line : str
+        Result in one short line for a prompt; if empty, the headline.
     """
 
     title: str
     headline: str
     sections: tuple[Section, ...]
     data: tuple[Table, ...] = ()
+    line: str = ""
 
     def __getitem__(self, key: str) -> Section:
         """Return the section with a key."""
@@ -299,15 +302,6 @@ HOMES = {
 }
 
 
-def _imported(result: object) -> bool:
-    """Import the module that describes a result; return whether it was not imported before."""
-    home = f"cvxshear.report.{HOMES.get(type(result).__name__, '')}"
-    if type(result).__name__ not in HOMES or home in sys.modules:
-        return False
-    import_module(home)
-    return True
-
-
 @singledispatch
 def describe(result: object) -> Document:
     """Describe a result: its tables, sentences, and numbers with units.
@@ -325,14 +319,9 @@ def describe(result: object) -> Document:
     TypeError
         If no description is registered for this type.
     """
-    if _imported(result):
-        return describe(result)
-    raise TypeError(f"a {type(result).__name__} has no description; register one with describe.register")
-
-
-@singledispatch
-def line(result: object) -> str:
-    """Write a result in one short line for a prompt. Default: the headline of its description."""
-    if _imported(result):
-        return line(result)
-    return f"<{type(result).__name__} {describe(result).headline}>"
+    kind = type(result).__name__
+    home = f"cvxshear.report.{HOMES.get(kind, '')}"
+    if kind not in HOMES or home in sys.modules:
+        raise TypeError(f"a {kind} has no description; register one with describe.register")
+    import_module(home)
+    return describe(result)

@@ -40,13 +40,9 @@ def _closure(result: LoopResult) -> blocks.Document:
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
     frame = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
-    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes))
-
-
-@blocks.line.register
-def _line(result: LoopResult) -> str:
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
-    return f"<LoopResult {result.experiment.name}: {result.verdict}, {headline.some(found) or 'nothing added'}>"
+    line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"
+    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes), line)
 
 
 def verdict_section(result: LoopResult) -> blocks.Section:

@@ -32,19 +32,11 @@ def _modes(result: ModalResult) -> blocks.Document:
     findings = (blocks.Sentence(f"{capital(each.kind)}: {each.message}", "warning") for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
     sections = (blocks.section("modes", "Modes", how, *findings, _table(result), *shapes),)
-    return blocks.Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
-
-
-@blocks.line.register
-def _line(result: ModalResult) -> str:
-    found = ", ".join(f"{frequency:.4g}" for frequency in result.frequencies[:4])
-    more = ", ..." if len(result.frequencies) > 4 else ""
-    return f"<ModalResult {result.name}: {_modes_headline(result)}, {found}{more} Hz>"
-
-
-def _modes_headline(result: ModalResult) -> str:
-    floors = np.unique(result.floors).tolist()
-    return f"{counted(len(result.frequencies), 'mode')} at {numbered('floor', floors)}"
+    count, floors = len(result.frequencies), np.unique(result.floors).tolist()
+    headline = f"{result.name}: {counted(count, 'mode')} at {numbered('floor', floors)}"
+    first = ", ".join(f"{frequency:.4g}" for frequency in result.frequencies[:4])
+    line = f"{headline}, {first}{', ...' if count > 4 else ''} Hz"
+    return blocks.Document(result.name, headline, sections, (modes_data(result),), line)
 
 
 def _table(result: ModalResult) -> blocks.Table:

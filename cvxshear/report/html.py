@@ -44,22 +44,6 @@ def environment() -> Environment:
     return found
 
 
-def page(template: str, result: Json | list[Json], **contents: Any) -> str:
-    """Write a page from its template, with the result as JSON and the versions of all packages.
-
-    Parameters
-    ----------
-    template : str
-        Name of the template.
-    result : dict or list
-        JSON of the result.
-    **contents : object
-        Values that the template needs.
-    """
-    known = {"result_json": json_text(result, indent=1), "versions": list(versions())}
-    return environment().get_template(template).render(**contents, **known)
-
-
 def drawings(*results: Any) -> dict[str, Json]:
     """Draw the animations of these results, then all figures that apply, by name.
 
@@ -84,7 +68,7 @@ def drawings(*results: Any) -> dict[str, Json]:
             "title": entry.title,
             "section": entry.section,
             "caption": entry.caption_of(*results),
-            "alternative": entry.alternative_of(*results),
+            "alternative": entry.alternative,
             # matplotlib has escaped the texts in a drawing.
             "svg": Markup(style.inline_svg(entry.draw(*results), entry.name)),
             "moves": False,
@@ -104,76 +88,56 @@ def versions() -> Iterator[tuple[str, str]]:
             continue
 
 
-def render(result: LoopResult, command: str, comparison: Comparison | None = None) -> str:
-    """Write the report of a closed loop as HTML.
-
-    Parameters
-    ----------
-    result : LoopResult
-    command : str
-        Command line that writes this report.
-    comparison : Comparison, optional
-        Comparison of the backends. Default: a new comparison.
-
-    Returns
-    -------
-    str
-        One page without references to other files.
-    """
-    if comparison is None:
-        comparison = compare_backends(result.experiment, repeats=1)
-    # Without effects the picture of the verdict is the identified frame.
-    figure = {name: each for name, each in drawings(result).items() if result.effects or name != "frame"}
-    return page(
-        "report.html",
-        result.to_dict(),
-        document=describe(result),
-        heading=result.experiment.report,
-        headline=capital(headline(result)),
-        verdict=verdict_of(result),
-        figure=figure,
-        backends=describe(comparison)["worst"],
-        left_out=comparison.left_out,
-        command=command,
-        experiment_json=json_text(as_json(result.experiment), indent=1),
-    )
-
-
-#: Headings of the pages by the type of their result.
+#: Headings of the pages by the type of their result; the page of a loop has the title of its test.
 HEADINGS = {
     "Identification": "Identified frame",
     "RecordPrediction": "Predicted response",
     "Reconstruction": "Reconstructed response",
     "History": "History of a frame",
     "Plan": "Planned test",
+    "NoiseStudy": "Scatter under noise",
 }
 
 
-def render_described(result: object, command: str) -> str:
-    """Write the page of an identification, prediction, reconstruction, history or plan as HTML, with its figures."""
-    heading = HEADINGS[type(result).__name__]
-    found = as_json(result)
-    return page(
-        "described.html", found, heading=heading, described=describe(result), figure=drawings(result), command=command
-    )
-
-
-def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[str] = ()) -> str:
-    """Write the report of the modes of one record or of several as HTML.
+def render(result: Any, command: str, comparison: Comparison | None = None, failed: Sequence[str] = ()) -> str:
+    """Write the report of a result as HTML.
 
     Parameters
     ----------
-    results : sequence of ModalResult
+    result : object, or list of ModalResult
+        A result of a loop, or of one of the types in `HEADINGS`.
     command : str
+        Command line that writes this report.
+    comparison : Comparison, optional
+        Comparison of the backends, for the report of a loop. Default: a new comparison.
     failed : sequence of str, optional
-        Reasons why other records are missing.
+        Reasons why other records are missing in the report of modes.
+
+    Returns
+    -------
+    str
+        One page with its figures and without references to other files.
     """
-    return page(
-        "modal_report.html",
-        [result.to_dict() for result in results],
-        title=", ".join(result.name for result in results),
-        documents=[describe(result) for result in results],
-        failed=list(failed),
-        command=command,
-        figure=drawings(*results),
-    )
+    results = result if isinstance(result, list) else [result]
+    first, documents, figure = results[0], [describe(each) for each in results], drawings(*results)
+    contents: dict[str, Any] = {"document": documents[0], "figure": figure}
+    if isinstance(first, LoopResult):
+        template, compared = "report.html", comparison or compare_backends(first.experiment, repeats=1)
+        contents |= {
+            "heading": first.experiment.report,
+            "headline": capital(headline(first)),
+            "verdict": verdict_of(first),
+            # Without effects the picture of the verdict is the identified frame.
+            "figure": {name: each for name, each in figure.items() if first.effects or name != "frame"},
+            "backends": describe(compared)["worst"],
+            "left_out": compared.left_out,
+            "experiment_json": json_text(as_json(first.experiment), indent=1),
+        }
+    elif isinstance(first, ModalResult):
+        template = "modal_report.html"
+        contents |= {"title": ", ".join(each.name for each in results), "documents": documents, "failed": failed}
+    else:
+        template, contents["heading"] = "described.html", HEADINGS[type(first).__name__]
+    written = json_text(as_json(results if isinstance(first, ModalResult) else first), indent=1)
+    found = environment().get_template(template)
+    return found.render(**contents, command=command, result_json=written, versions=list(versions()))

@@ -338,7 +338,11 @@ def _identification(result: results.Identification) -> blocks.Document:
         sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
     predicted = [item for part in result.parts for item in part.predictions]
     data = frames_table(result), frequencies_table(result.experiment, predicted)
-    return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
+    title, stories = result.experiment.name, quantities.counted(result.experiment.stories, "story")
+    worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
+    ended = "" if result.converged else ", not converged"
+    line = f"{title}: {result.method}, {stories}, largest frequency error {worst}{ended}"
+    return blocks.Document(title, _identification_headline(result), tuple(sections), data, line)
 
 
 def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:
@@ -377,15 +381,6 @@ def put_more(test: results.NextTest, units: quantities.Units) -> str:
 
 def _all(values: Floats, factor: float) -> str:
     return ", ".join(quantities.significant(float(value) / factor, 4) for value in values)
-
-
-@blocks.line.register
-def _identification_line(result: results.Identification) -> str:
-    worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
-    stories = quantities.counted(result.experiment.stories, "story")
-    ended = "" if result.converged else ", not converged"
-    what = f"{result.method}, {stories}, largest frequency error {worst}{ended}"
-    return f"<Identification {result.experiment.name}: {what}>"
 
 
 def _identification_headline(result: results.Identification) -> str:

@@ -14,7 +14,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as Grid
 from rich.text import Text
 
-from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
+from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, table_of_rows
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.quantities import column_name
 from cvxshear.util.results import data_frame
@@ -163,7 +163,8 @@ def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple
 
 def line_of(result: object) -> str:
     """Write a result in one short line."""
-    return printable(line(result))
+    document = describe(result)
+    return printable(f"<{type(result).__name__} {document.line or document.headline}>")
 
 
 def sheets_of(*results: object) -> list[Sheet]:
@@ -217,7 +218,7 @@ def _pictures(result: object) -> list[tuple[str, str]]:
     from cvxshear.report.figures.style import applicable, encoded  # noqa: PLC0415 - loads matplotlib
 
     return [
-        (entry.alternative_of(result), base64.b64encode(encoded(entry.draw(result), "png")).decode())
+        (entry.alternative, base64.b64encode(encoded(entry.draw(result), "png")).decode())
         for entry in applicable(result)
         if entry.section == FIRST_SECTION
     ]

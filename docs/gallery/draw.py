@@ -37,7 +37,7 @@ def draw(folder: Path) -> None:
     for name, result in results().items():
         for entry in applicable(result):
             figures.save(entry.draw(result), folder / f"{name}-{entry.name}.svg")
-            words[f"{name} {entry.name}"] = [entry.title, entry.alternative_of(result), entry.caption_of(result)]
+            words[f"{name} {entry.name}"] = [entry.title, entry.alternative, entry.caption_of(result)]
     (folder / "figures.json").write_text(json.dumps(words), encoding="utf-8")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.effects import LocatedEffect, State, compose
+from cvxshear.effects import Effect, LocatedEffect, Parameter, Scale, State, compose
 from cvxshear.effects import named as effects_named
 from cvxshear.effects.base import Place
 from cvxshear.measurement.experiment import Experiment
@@ -87,3 +87,27 @@ def assert_same(model: Modes, fe: SwayModes, within: float = ROUNDING) -> None:
     """Assert that frequencies and mass-normalized shapes agree."""
     assert frequency_gap(model, fe) < within
     assert shape_gap(model, fe) < within
+
+
+class Cable(Effect):
+    """A custom effect of two parameters: a cable from the top to the ground, with a mass at the top."""
+
+    name = "cable"
+    summary = "A cable holds the top."
+    formula = "K + s e e', M + m e e'"
+    source = "none"
+    stage = "spring"
+    parameters = (Parameter("s", "N/m", lower=0.0), Parameter("m", "kg", lower=0.0))
+    probability = 0.05
+
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.1 * scale.story_stiffness, 0.1 * scale.floor_mass])
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        system = state.system
+        M, K, dM, dK = system.M.copy(), system.K.copy(), system.dM.copy(), system.dK.copy()
+        K[-1, -1] += values[0]
+        M[-1, -1] += values[1]
+        dK[own.start, -1, -1] += 1.0
+        dM[own.start + 1, -1, -1] += 1.0
+        return state.with_mass(M, dM).with_stiffness(K, dK)

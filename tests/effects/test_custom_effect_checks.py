@@ -8,30 +8,7 @@ import pytest
 from cvxshear.effects import Effect, Parameter, catalogue, open_classes, refuse_faulty, refuse_repeated, register
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import InputError
-
-
-class Cable(Effect):
-    """A cable from the top to the ground, with a mass at the top. Each test spoils one method in a subclass."""
-
-    name = "cable"
-    summary = "A cable holds the top."
-    formula = "K + s e e', M + m e e'"
-    source = "none"
-    stage = "spring"
-    parameters = (Parameter("s", "N/m", lower=0.0), Parameter("m", "kg", lower=0.0))
-    probability = 0.05
-
-    def sizes(self, scale):
-        return np.array([0.1 * scale.story_stiffness, 0.1 * scale.floor_mass])
-
-    def apply(self, state, place, values, own):
-        system = state.system
-        M, K, dM, dK = system.M.copy(), system.K.copy(), system.dM.copy(), system.dK.copy()
-        K[-1, -1] += values[0]
-        M[-1, -1] += values[1]
-        dK[own.start, -1, -1] += 1.0
-        dM[own.start + 1, -1, -1] += 1.0
-        return state.with_mass(M, dM).with_stiffness(K, dK)
+from tests.effects.common import Cable
 
 
 def changed(state, **arrays):

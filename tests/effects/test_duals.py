@@ -6,7 +6,7 @@ import pytest
 from scipy import linalg
 
 from cvxshear.effects import LocatedEffect, Place, catalogue, compose, named
-from cvxshear.loop.hypotheses import dual_fits_as_well
+from cvxshear.loop.hypotheses import dual_fits_as_well, dual_frame
 from cvxshear.measurement.experiment import Experiment
 
 STORIES = 4
@@ -38,6 +38,9 @@ def test_the_dual_has_the_same_frequencies(effect, place):
     mass, stiffness = rng.uniform(0.5, 2.0, STORIES), rng.uniform(0.5, 2.0, STORIES)
     dual_mass, dual_stiffness = 1 / stiffness[::-1], 1 / mass[::-1]
     np.testing.assert_allclose(eigenvalues(dual_mass, dual_stiffness), eigenvalues(mass, stiffness), rtol=1e-12)
+    dual = dual_frame(np.concatenate([mass, stiffness]))
+    np.testing.assert_allclose(dual / dual[0], np.concatenate([dual_mass, dual_stiffness]) / dual_mass[0])
+    assert dual[:STORIES].sum() == pytest.approx(mass.sum())
     name, there = effect.dual(place, STORIES)
     (other,) = named([name])
     # A factor f on a stiffness is a factor 1 / f on a mass of the dual, and conversely.

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, backends, identify
-from cvxshear.model import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.paper.setups import three_story
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, pair_normal, pair_products, stiffness_rows
@@ -87,32 +86,6 @@ def test_hundreds_of_stories_need_the_memory_of_twenty_four_tables_and_keep_ten_
     assert mass < 1e-10
     assert stiffness < 1e-10
     assert tables < 24
-
-
-def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
-    """The test checks the eigenvalue equations, since the general solver is not used at that size."""
-    mass, stiffness, _ = random_frame(60)
-    M, K = mass_matrix(mass), stiffness_matrix(stiffness)
-    found = modes(M, K)
-    np.testing.assert_allclose(found.shapes @ M @ found.shapes.T, np.eye(60), atol=1e-12)
-    np.testing.assert_allclose(
-        K @ found.shapes.T, M @ found.shapes.T * found.eigenvalues, atol=1e-11 * found.eigenvalues[-1] * mass.max()
-    )
-    K[0, 5] = K[5, 0] = -1e7
-    coupled = modes(M, K)
-    np.testing.assert_allclose(coupled.shapes @ K @ coupled.shapes.T, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
-
-
-def test_mode_derivatives_hold_for_a_tall_frame():
-    mass, stiffness, _ = random_frame(45)
-    system = shear_system(mass, stiffness)
-    dlam, _ = mode_derivatives(modes(system.M, system.K), system, [0, 3])
-    step = 1e-4 * stiffness[7]
-    up, down = (
-        modes(mass_matrix(mass), stiffness_matrix(stiffness + sign * step * np.eye(45)[7])).eigenvalues
-        for sign in (1, -1)
-    )
-    np.testing.assert_allclose(dlam[45 + 7], (up - down)[[0, 3]] / (2 * step), rtol=1e-5)
 
 
 def noisy_samples(count):

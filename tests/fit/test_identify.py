@@ -19,6 +19,7 @@ from tests.frames import EXAMPLES, chain, configuration, experiment
 
 MASS = np.array([10.0, 7.5, 5.0])
 STIFFNESS = np.array([1800.0, 1200.0, 600.0])
+ADDED = np.array([5.0, 0.0, 8.0])
 SEPARATE = ("two-stage", "one-shot", "berman", "qi")
 
 
@@ -60,8 +61,10 @@ def test_what_is_no_experiment_is_refused(function):
         TAKE_A_PATH[function](3)
 
 
-def noisy(seed=3, noise=0.05, prior=()):
-    table = configuration(MASS, STIFFNESS, rng=np.random.default_rng(seed), shape_noise=noise, mode_shape_std=noise)
+def noisy(seed=3, noise=0.05, prior=(), added=None):
+    table = configuration(
+        MASS, STIFFNESS, added, rng=np.random.default_rng(seed), shape_noise=noise, mode_shape_std=noise
+    )
     return Experiment.from_dict(experiment(MASS, STIFFNESS, table, prior=prior))
 
 
@@ -89,8 +92,7 @@ def test_two_stage_keeps_the_total_in_every_iteration():
 
 
 def test_added_mass_is_taken_off_again():
-    added = [5.0, 0.0, 8.0]
-    found = identify(exact(configuration(MASS, STIFFNESS, added)), "two-stage")
+    found = identify(exact(configuration(MASS, STIFFNESS, ADDED)), "two-stage")
     np.testing.assert_allclose(found.frame.floor_mass, MASS, rtol=1e-5)
 
 
@@ -113,54 +115,46 @@ def test_one_configuration_stands_at_the_top_and_in_the_list():
     json.dumps(result, allow_nan=False)
 
 
-@pytest.mark.parametrize("method", SEPARATE)
+UNKNOWN = configuration(MASS, STIFFNESS)
+UNKNOWN["mode_shapes"][1][2] = float("nan")
+TWO = [configuration(MASS, STIFFNESS), configuration(MASS, STIFFNESS, [4, 0, 0])]
+BOUND = {"kind": "bounds", "quantity": "floor_mass", "lower": 1.0}
+CANNOT = 'cannot use configuration "test 1": it needs '
+UNSUITABLE = [
+    (
+        SEPARATE, exact(configuration(MASS, STIFFNESS, modes=[1, 2])), {},
+        f"{CANNOT}all 3 modes, mode 3 is missing; use method efficient",
+    ),
+    (
+        SEPARATE, exact(configuration(MASS, STIFFNESS, measured_floors=[2])), {},
+        f"{CANNOT}every floor, floors 1, 3 are unmeasured; use method efficient",
+    ),
+    (["two-stage"], exact(UNKNOWN), {}, "mode 2 has no value at floor 3; use method efficient"),
+    (["one-shot"], exact(*TWO, frame={}), {}, "needs frame: total_mass or floor_masses"),
+    (["efficient", "one-shot"], exact(), {"initial_mass": [1, 1, 1]}, "takes no initial mass"),
+    (["berman", "qi"], exact(prior=[BOUND]), {}, "takes no priors"),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("keys", "message"),
+    ("method", "of", "options", "message"), [(method, *rest) for methods, *rest in UNSUITABLE for method in methods]
+)
+def test_what_a_method_cannot_use_is_refused_by_name(method, of, options, message):
+    with pytest.raises(UnsuitableError, match=re.escape(message)) as caught:
+        identify(of, method, **options)
+    assert f"method {method} " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "message"),
     [
-        ({"modes": [1, 2]}, "needs all 3 modes, mode 3 is missing; use method efficient"),
-        ({"measured_floors": [2]}, "needs every floor, floors 1, 3 are unmeasured; use method efficient"),
+        ("two-stage", {"initial_mass": [1, 1]}, "initial mass must have 3 entries, not 2"),
+        ("twostage", {}, "did you mean 'two-stage'"),
     ],
 )
-def test_incomplete_data_are_refused_by_name(method, keys, message):
-    with pytest.raises(
-        UnsuitableError, match=re.escape(f'method {method} cannot use configuration "test 1": it {message}')
-    ):
-        identify(exact(configuration(MASS, STIFFNESS, **keys)), method)
-
-
-def test_an_entry_that_was_not_measured_is_refused_by_name():
-    table = configuration(MASS, STIFFNESS)
-    table["mode_shapes"][1][2] = float("nan")
-    with pytest.raises(UnsuitableError, match="mode 2 has no value at floor 3; use method efficient"):
-        identify(exact(table), "two-stage")
-
-
-def test_an_unknown_total_is_refused_by_name():
-    tables = configuration(MASS, STIFFNESS), configuration(MASS, STIFFNESS, [4, 0, 0])
-    with pytest.raises(UnsuitableError, match="needs frame: total_mass or floor_masses"):
-        identify(exact(*tables, frame={}), "one-shot")
-
-
-@pytest.mark.parametrize("method", ["efficient", "one-shot"])
-def test_a_start_is_refused_where_it_means_nothing(method):
-    with pytest.raises(UnsuitableError, match=f"method {method} takes no initial mass"):
-        identify(exact(), method, initial_mass=[1, 1, 1])
-
-
-def test_a_start_of_the_wrong_length_is_refused():
-    with pytest.raises(InputError, match="initial mass must have 3 entries, not 2"):
-        identify(exact(), "two-stage", initial_mass=[1, 1])
-
-
-def test_an_unknown_method_is_refused_with_the_nearest():
-    with pytest.raises(InputError, match="did you mean 'two-stage'"):
-        identify(exact(), "twostage")
-
-
-@pytest.mark.parametrize("method", ["berman", "qi"])
-def test_baselines_take_no_priors(method):
-    with pytest.raises(UnsuitableError, match=f"method {method} takes no priors"):
-        identify(noisy(prior=[{"kind": "bounds", "quantity": "floor_mass", "lower": 1.0}]), method)
+def test_wrong_options_are_refused_with_what_is_expected(method, options, message):
+    with pytest.raises(InputError, match=message):
+        identify(exact(), method, **options)
 
 
 def test_berman_makes_the_modes_orthonormal():
@@ -205,6 +199,7 @@ def test_what_a_declared_bound_holds_is_at_a_bound_and_has_no_deviation():
     assert said["frame"]["floor_mass"][0] == pytest.approx(limit, rel=1e-6)
     assert said["frame"]["floor_mass_std"][0] is None
     assert min(said["frame"]["floor_mass_std"][1:]) > 0
+    assert np.all(held.frame.floor_mass_std[1:] <= free.frame.floor_mass_std[1:])
     assert np.isnan(held.to_dataframe().floor_mass_std_kg[0])
     assert "(at a bound)" in str(held)
 
@@ -291,8 +286,8 @@ def test_a_ratio_that_contradicts_a_bound_is_named_without_the_rest():
 
 
 def test_predictions_are_the_modes_of_the_identified_frame():
-    found = identify(noisy(), "two-stage")
-    M, K = chain(found.frame.floor_mass, found.frame.story_stiffness)
+    found = identify(noisy(added=ADDED), "two-stage")
+    M, K = chain(found.frame.floor_mass + ADDED, found.frame.story_stiffness)
     prediction = found.parts[0].predictions[0]
     for f, shape in zip(prediction.frequencies, prediction.mode_shapes, strict=True):
         np.testing.assert_allclose(K @ shape, (2 * np.pi * f) ** 2 * M @ shape, atol=1e-6 * np.abs(K).max())

@@ -5,11 +5,12 @@ import pytest
 from scipy import linalg, stats
 
 from cvxshear import Experiment
-from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
+from cvxshear.effects import LocatedEffect, Place, Scale, open_classes
 from cvxshear.fit.domain import Domain, EffectPrior, uncertainty
 from cvxshear.fit.gaussian import tailed
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
+from tests.effects.common import placed as put
 from tests.frames import experiment
 
 NAMES = ("a", "b", "c", "d")
@@ -113,10 +114,6 @@ def test_the_residual_of_students_distribution_is_its_log_density(tail):
     np.testing.assert_array_equal(np.sign(r), np.sign(z))
     h = 1e-5 * np.maximum(np.abs(z), 1.0)
     np.testing.assert_allclose(slope, (tailed(z + h, tail)[0] - tailed(z - h, tail)[0]) / (2 * h), rtol=1e-6)
-
-
-def put(name, **place):
-    return LocatedEffect(named([name])[0], Place(**place))
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():

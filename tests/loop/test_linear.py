@@ -5,23 +5,20 @@ import pytest
 from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import LocatedEffect, Place, Scale, named
+from cvxshear.effects import Scale
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, student_weights
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import log_evidence
 from cvxshear.loop.linear import Linearised
+from tests.effects.common import placed as put
 from tests.frames import configuration, experiment, modes_of
 
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
 MISSED = 150.0
 SCALE = Scale(19e3, 30e6, np.ones(5))
-
-
-def put(name, **place):
-    return LocatedEffect(named([name])[0], Place(**place))
 
 
 MASS_3 = put("added_mass", floor=3, state="test 2")

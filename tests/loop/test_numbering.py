@@ -10,7 +10,6 @@ import pytest
 
 import cvxshear
 from cvxshear import Experiment, backends
-from cvxshear.cli import main
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
 from cvxshear.loop.close import search_for_effects
@@ -24,15 +23,8 @@ from tests.fe.experiments import simulated
 
 
 def measured_frame(effect, seed, *, stories=7, floors=(2, 3, 5, 7), modes=5, configurations=1):
-    declared, truth = simulated(
-        effect,
-        stories=stories,
-        configurations=configurations,
-        rng=np.random.default_rng(seed),
-        measured_floors=list(floors),
-        modes=modes,
-    )
-    return declared, truth
+    tested = {"stories": stories, "configurations": configurations, "measured_floors": list(floors), "modes": modes}
+    return simulated(effect, rng=np.random.default_rng(seed), **tested)
 
 
 def lose(declared, mode, where=slice(None)):
@@ -55,12 +47,6 @@ def closed_without(mode, effect, configurations, tests, size, seed):
     declared, truth = measured_frame(effect, seed, configurations=configurations, **dict(size))
     lose(declared, mode, slice(tests))
     return declared, truth, search_for_effects(Experiment.from_dict(declared))
-
-
-def status(arguments):
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    return stopped.value.code
 
 
 def numbers(closure):
@@ -147,17 +133,18 @@ def test_numbers_that_nothing_tells_are_said_to_be_in_doubt():
     assert 'the modes of "test 1" are 1, 2 and 4 of the frame' in page
 
 
-def test_the_loop_weighs_what_a_file_names_and_check_refuses(tmp_path, capsys):
+def test_the_loop_weighs_what_a_file_names_and_check_refuses(tmp_path, run):
     declared, _ = measured_frame(None, 41, **dict(FIVE))
     (configuration,) = lose(declared, 3)["configuration"]
     path = tmp_path / "a.toml"
     write_measurement(path, declared)
-    assert status(["loop", str(path), "--json", "-"]) == 2
-    assert "write modes = [1, 2, 4]" in capsys.readouterr().err
+    status, _, told = run("loop", path, "--json", "-")
+    assert status == 2
+    assert "write modes = [1, 2, 4]" in told
     configuration["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.3}]
     write_measurement(path, declared)
-    assert status(["loop", str(path), "--effects", "attached_mass,ground_spring,sensor_gain", "--json", "-"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    _, out, _ = run("loop", path, "--effects", "attached_mass,ground_spring,sensor_gain", "--json", "-")
+    result = json.loads(out)
     assert result["numberings"][0]["changes"] == [{"configuration": "test 1", "modes": [1, 2, 4]}]
     assert [(item["name"], item["refuses"]) for item in result["warnings"]] == [("missing_mode", False)]
 

@@ -6,16 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cvxshear.effects import LocatedEffect, Place, named
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.posterior import Posterior
-
-
-def put(name, **place):
-    return LocatedEffect(named([name])[0], Place(**place))
-
+from tests.effects.common import placed as put
 
 A, B, C, D = (put("sensor_gain", floor=floor) for floor in (1, 2, 3, 4))
 MASS = put("added_mass", floor=1, state="after")

@@ -3,7 +3,6 @@
 A message names the place, the wrong value and the remedy, so each case gives the whole message.
 """
 
-import copy
 import os
 
 import numpy as np
@@ -15,6 +14,7 @@ from cvxshear.io import toml
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, InputError
+from tests.measurement.test_experiment import rich
 
 FREQUENCIES = [2.0, 5.0]
 SHAPES = [[0.6, 1.0], [-1.7, 1.0]]
@@ -538,34 +538,6 @@ def test_a_file_too_large(tmp_path, monkeypatch):
 # Anything else.
 
 
-def whole():
-    """Return a file that uses every key."""
-    states = [
-        {
-            "name": "A",
-            "added_mass": [0.0, 0.0],
-            "measured_floors": [1, 2],
-            "frequencies": list(FREQUENCIES),
-            "modes": [1, 2],
-            "mode_shapes": copy.deepcopy(SHAPES),
-            "mass_normalized": False,
-            "frequency_std": [0.001, 0.002],
-            "mode_shape_std": [[0.01, 0.01], [0.02, 0.02]],
-            "mode_shape_noise": "additive",
-            "damping_ratios": [0.01, 0.008],
-        },
-        {"name": "B", "added_mass": [5.0, 0.0], "frequencies": [2.0], "mode_shapes": [[np.nan, 1.0]]},
-    ]
-    frame = {
-        "stories": 2,
-        "story_heights": [3.0, 3.0],
-        "total_mass": 30.0,
-        "floor_masses": [15.0, 15.0],
-        "gravity": 9.8,
-    }
-    return {"frame": frame, "prior": copy.deepcopy([BOUNDS, RATIO, VALUE, NOMINAL, MONOTONE]), "configuration": states}
-
-
 def places(value, path=()):
     """Return every place in the nested value, starting with the whole value."""
     yield path
@@ -591,7 +563,8 @@ def nested(depth):
     return value
 
 
-PLACES = list(places(whole()))
+PLACES = list(places(rich()))
+"""Every place in a file that uses every key; `test_experiment` reads it."""
 SCALARS = st.one_of(
     st.none(),
     st.booleans(),
@@ -624,12 +597,7 @@ JUNK = st.one_of(
 
 @pytest.mark.parametrize("path", PLACES, ids=str)
 def test_no_depth_is_too_much_to_refuse(path):
-    assert refused(put(whole(), path, nested(5000)))
-
-
-def test_the_whole_file_is_sound():
-    assert Experiment.from_dict(whole()).stories == 2
-    assert len(PLACES) > 80
+    assert refused(put(rich(), path, nested(5000)))
 
 
 @seed(1)
@@ -644,7 +612,7 @@ def test_the_whole_file_is_sound():
 def test_junk_is_taken_or_refused(path, junk):
     """If one value is replaced by junk, the file is either a valid experiment or refused with one message."""
     try:
-        found = Experiment.from_dict(put(whole(), path, junk))
+        found = Experiment.from_dict(put(rich(), path, junk))
     except InputError as error:
         assert str(error)  # noqa: PT017
         assert len(str(error)) < 600  # noqa: PT017

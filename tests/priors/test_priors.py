@@ -46,65 +46,47 @@ def said(prior, stories=3):
     return {name: value for name, value in vars(prior.constraints(stories)).items() if value is not None}
 
 
+EXACT = [
+    (Bounds("floor_mass", lower=2.0, upper=[9.0, 8.0, 7.0]), {"lower": [2, 2, 2], "upper": [9, 8, 7]}),
+    (Bounds("floor_mass", lower=2.0), {"lower": [2, 2, 2], "upper": [np.inf] * 3}),
+    (Bounds("floor_mass", upper=2.0), {"lower": [-np.inf] * 3, "upper": [2, 2, 2]}),
+    (Ratio("floor_mass", of=3, to=1, value=0.5), {"A": [[-0.5, 0, 1]], "b": [0]}),
+    (Value("story_stiffness", at=2, value=1200.0), {"A": [[0, 1, 0]], "b": [1200]}),
+    (Nominal("floor_mass", values=[9.0, 8.0, 7.0]), {"A": np.eye(3), "b": [9, 8, 7]}),
+]
+
+
+@pytest.mark.parametrize(("prior", "expected"), EXACT, ids=lambda item: getattr(item, "kind", ""))
+def test_an_exact_prior_is_rows_of_constraints(prior, expected):
+    found = said(prior)
+    assert set(found) == set(expected)
+    for name, value in expected.items():
+        assert_array_equal(found[name], value)
+    assert no_rows(prior)
+
+
+SOFT = [
+    (
+        Ratio("floor_mass", of=2, to=3, value=1.2, std=0.05),
+        [np.log(7.5 / 6.0) / 0.05], [[0, 1 / (7.5 * 0.05), -1 / (5.0 * 0.05)]],
+    ),
+    # 10 kg is a quarter above 8 kg, and a standard deviation is a tenth.
+    (Value("floor_mass", at=1, value=8.0, std=0.1), [2.5], [[1.25, 0, 0]]),
+    (Nominal("floor_mass", [8.0, 7.5, 10.0], std=0.1), [2.5, 0, -5], np.diag([1.25, 1 / 0.75, 1.0])),
+    (Smooth("floor_mass", width=2.0), [-1.25, -1.25], [[-0.5, 0.5, 0], [0, -0.5, 0.5]]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("prior", "r", "J"), SOFT, ids=lambda item: getattr(item, "kind", ""))
+def test_a_soft_prior_is_a_residual(prior, r, J):
+    assert said(prior) == {}
+    assert_allclose(prior.residual(AT)[0], r)
+    assert_allclose(prior.residual(AT)[1], J)
+
+
 def no_rows(prior):
     r, J = prior.residual(AT)
     return r.shape == (0,) and J.shape == (0, 3)
-
-
-# Each kind.
-
-
-def test_bounds():
-    bounds = said(Bounds("floor_mass", lower=2.0, upper=[9.0, 8.0, 7.0]))
-    assert set(bounds) == {"lower", "upper"}
-    assert_array_equal(bounds["lower"], [2, 2, 2])
-    assert_array_equal(bounds["upper"], [9, 8, 7])
-    assert no_rows(Bounds("floor_mass", lower=2.0))
-
-
-def test_one_sided_bounds_leave_the_other_side_open():
-    assert_array_equal(said(Bounds("floor_mass", lower=2.0))["upper"], [np.inf] * 3)
-    assert_array_equal(said(Bounds("floor_mass", upper=2.0))["lower"], [-np.inf] * 3)
-
-
-def test_exact_ratio():
-    rows = said(Ratio("floor_mass", of=3, to=1, value=0.5))
-    assert set(rows) == {"A", "b"}
-    assert_array_equal(rows["A"], [[-0.5, 0, 1]])
-    assert_array_equal(rows["b"], [0])
-    assert_allclose(rows["A"] @ AT, rows["b"])
-    assert no_rows(Ratio("floor_mass", of=3, to=1, value=0.5))
-
-
-def test_soft_ratio():
-    prior = Ratio("floor_mass", of=2, to=3, value=1.2, std=0.05)
-    assert said(prior) == {}
-    r, J = prior.residual(AT)
-    assert_allclose(r, [np.log(7.5 / 6.0) / 0.05])
-    assert_allclose(J, [[0, 1 / (7.5 * 0.05), -1 / (5.0 * 0.05)]])
-
-
-def test_exact_value():
-    rows = said(Value("story_stiffness", at=2, value=1200.0))
-    assert set(rows) == {"A", "b"}
-    assert_array_equal(rows["A"], [[0, 1, 0]])
-    assert_array_equal(rows["b"], [1200])
-    assert no_rows(Value("story_stiffness", at=2, value=1200.0))
-
-
-def test_soft_value():
-    prior = Value("floor_mass", at=1, value=8.0, std=0.1)
-    assert said(prior) == {}
-    r, J = prior.residual(AT)
-    assert_allclose(r, [2.5], err_msg="10 kg is a quarter above 8 kg, and a standard deviation is a tenth")
-    assert_allclose(J, [[1.25, 0, 0]])
-
-
-def test_exact_nominal():
-    rows = said(Nominal("floor_mass", values=[9.0, 8.0, 7.0]))
-    assert_array_equal(rows["A"], np.eye(3))
-    assert_array_equal(rows["b"], [9, 8, 7])
-    assert no_rows(Nominal("floor_mass", values=[9.0, 8.0, 7.0]))
 
 
 def test_exact_nominal_of_free_scale():
@@ -117,14 +99,6 @@ def test_exact_nominal_of_free_scale():
     assert no_rows(prior)
 
 
-def test_soft_nominal():
-    prior = Nominal("floor_mass", values=[8.0, 7.5, 10.0], std=0.1)
-    assert said(prior) == {}
-    r, J = prior.residual(AT)
-    assert_allclose(r, [2.5, 0, -5])
-    assert_allclose(J, np.diag([1.25, 1 / 0.75, 1.0]))
-
-
 def test_soft_nominal_of_free_scale():
     prior = Nominal("floor_mass", values=[4.0, 3.0, 1.0], std=0.1, free_scale=True)
     assert said(prior) == {}
@@ -134,6 +108,9 @@ def test_soft_nominal_of_free_scale():
     assert_allclose(r @ r, np.sum((logs - logs.mean()) ** 2))
     assert_allclose(J @ AT, 0, atol=1e-13, err_msg="a common factor changes nothing")
     assert_allclose(prior.residual(7.0 * AT)[0], r, atol=1e-13)
+    steps = 1e-5 * np.diag(AT)
+    central = [(prior.residual(AT + step)[0] - prior.residual(AT - step)[0]) / (2 * step.sum()) for step in steps]
+    assert_allclose(J, np.transpose(central), rtol=1e-8, atol=1e-9)
 
 
 def test_free_scale_of_a_single_story_says_nothing():
@@ -155,22 +132,6 @@ def test_monotone(direction, kept, broken):
     assert not np.all(rows["G"] @ broken <= rows["h"])
     assert no_rows(prior)
     assert prior.constraints(1).G.shape == (0, 1)
-
-
-SOFT = [
-    Ratio("floor_mass", of=2, to=1, value=1.5, std=0.02),
-    Value("story_stiffness", at=3, value=4.0, std=0.1),
-    Nominal("story_stiffness", values=[9.0, 8.0, 7.0], std=0.05),
-    Nominal("story_stiffness", values=[9.0, 8.0, 7.0], std=0.05, free_scale=True),
-    Smooth("floor_mass", width=0.3),
-]
-
-
-@pytest.mark.parametrize("prior", SOFT, ids=lambda prior: prior.describe())
-def test_the_derivative_of_a_soft_prior(prior):
-    steps = 1e-5 * np.diag(AT)
-    central = [(prior.residual(AT + step)[0] - prior.residual(AT - step)[0]) / (2 * step.sum()) for step in steps]
-    assert_allclose(prior.residual(AT)[1], np.transpose(central), rtol=1e-8, atol=1e-9)
 
 
 DESCRIPTIONS = [

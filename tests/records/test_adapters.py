@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.records import TimeRecord, from_arrays, from_library, identify_modes
+from cvxshear.records import TimeRecord, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 
@@ -61,35 +60,12 @@ def test_arrays_that_do_not_fit(frequencies, shapes, options, expected):
         from_arrays(frequencies, shapes, **options)
 
 
-def test_pyoma_algorithm():
-    found = SimpleNamespace(
-        Fn=np.array([3.0, 9.0]),
-        Xi=np.array([0.01, 0.02]),
-        Phi=np.array([[0.5, 1.0], [1.0, -0.6]]).T,
-        Fn_std=np.array([0.003, 0.018]),
-    )
-    for item in (found, SimpleNamespace(result=found)):
-        result = from_library(item, floors=[1, 2])
-        np.testing.assert_allclose(result.mode_shapes, [[0.5, 1.0], [1.0, -0.6]])
-        np.testing.assert_allclose(result.frequency_std, [0.001, 0.002])
-        np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
-    with pytest.raises(InputError, match="choose modes first"):
-        from_library(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
-
-
-def test_sdypy_model():
+def test_modal_constants_of_another_library_are_shapes():
     """Each modal constant of the force at floor 2 is the shape times its entry there, over 2i w."""
     shapes = np.array([[0.5, 1.0], [1.0, -0.6]])
     constants = shapes * shapes[:, [1]] / (2j * 2 * np.pi * np.array([[3.0], [9.0]]))
-    model = SimpleNamespace(nat_freq=[3.0, 9.0], nat_xi=[0.01, 0.02], A=constants.T)
-    result = from_library(model)
-    ratios = result.mode_shapes[:, 0] / result.mode_shapes[:, 1]
-    np.testing.assert_allclose(ratios, [0.5, -1 / 0.6], rtol=1e-12)
-    np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
-    with pytest.raises(InputError, match="then get_constants"):
-        from_library(SimpleNamespace(nat_freq=[3.0]))
-    with pytest.raises(InputError, match="found no pole for mode 2"):
-        from_library(SimpleNamespace(nat_freq=[3.0, 0.0], nat_xi=[0.01, 0.0], A=constants.T))
+    found = from_arrays([3.0, 9.0], constants).mode_shapes
+    np.testing.assert_allclose(found[:, 0] / found[:, 1], [0.5, -1 / 0.6], rtol=1e-12)
 
 
 @pytest.fixture(scope="module")

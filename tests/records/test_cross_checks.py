@@ -7,7 +7,7 @@ import pytest
 
 from cvxshear.data.kinds import mac
 from cvxshear.io.modes import modes_from_file
-from cvxshear.records import Channel, Run, TimeRecord, from_library, identify_modes
+from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.records.shared import DATA, needs_southampton, southampton
 
@@ -33,7 +33,7 @@ def test_pyoma2():
     setup.add_algorithms(algorithm)
     setup.run_by_name("ssi")
     setup.mpe("ssi", sel_freq=[1.03, 2.21, 3.28], order_in=10)
-    theirs, ours = from_library(algorithm), identify_modes(record)
+    theirs, ours = from_arrays(algorithm.result.Fn, algorithm.result.Phi.T), identify_modes(record)
     # Two estimators of one record differ by less than the uncertainty due to the record's length, 0.1 %.
     np.testing.assert_allclose(ours.frequencies, theirs.frequencies, rtol=2e-3)
     for first, second in zip(ours.mode_shapes, theirs.mode_shapes, strict=True):
@@ -82,7 +82,7 @@ def test_sdypy_ema(tmp_path):
     model.nat_freq = np.array([model.pole_freq[order][place] for order, place in model.pole_ind])
     model.nat_xi = np.array([model.pole_xi[order][place] for order, place in model.pole_ind])
     model.get_constants()
-    theirs = from_library(model, floors=[1, 2, 3])
+    theirs = from_arrays(model.nat_freq, model.A.T, damping_ratios=model.nat_xi)
     ours, _ = modes_from_file(southampton(tmp_path))
     np.testing.assert_allclose(theirs.frequencies, ours.frequencies, rtol=5e-4)
     np.testing.assert_allclose(theirs.damping_ratios, ours.damping_ratios, rtol=0.05)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear.io.csv import Columns
-from cvxshear.records.data_frames import rounding_of, sampling_rate_of
+from cvxshear.records.data_frames import sampling_rate_of
 from cvxshear.util.errors import InputError
 
 
@@ -31,19 +31,19 @@ def test_stamps_rounded_to_a_millisecond(frequency, start, rounded):
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_missing_sample_is_refused(frequency, declared):
     time = np.round(stamps(frequency, 3000, missing=1400), 3)
-    with pytest.raises(InputError, match=r"column .t. (has a gap|goes back|has two)|rounded to"):
+    with pytest.raises(InputError, match=r"column .t. (has a gap|goes back|has two)"):
         rate(time, frequency if declared else None)
 
 
-def test_stamps_coarser_than_the_samples_need_the_rate():
-    time = np.round(stamps(4000.0, 3000), 3)
-    with pytest.raises(InputError, match=r"rounded to 0\.001 s, more than a sample.*give sampling_rate"):
+def test_stamps_may_be_coarser_than_the_samples():
+    """With whole seconds the rate is as exact as a second over the length of the record."""
+    for rounding, declared in ((1e-3, None), (1e-3, 4000.0), (1.0, None)):
+        time = rounding * np.floor(stamps(400.0 / rounding**0.5, 60_000) / rounding)
+        assert rate(time) == pytest.approx(400.0 / rounding**0.5, rel=2.0 * rounding / time[-1]), declared
+
+
+@pytest.mark.parametrize("every", [40, 200])
+def test_bursts_of_samples_are_no_rounded_stamps(every):
+    time = np.arange(4000) / 250.0 + 100.0 * (np.arange(4000) // every)
+    with pytest.raises(InputError, match="has a gap of 100"):
         rate(time)
-    assert rate(time, 4000.0) == pytest.approx(4000.0, rel=1e-3)
-
-
-def test_the_rounding_is_told_from_the_stamps():
-    time = stamps(256.0, 500)
-    assert rounding_of(np.round(time, 3)) == pytest.approx(1e-3)
-    assert rounding_of(np.round(time, 2)) == pytest.approx(1e-2)
-    assert rounding_of(np.sqrt(2) * time) == 0.0

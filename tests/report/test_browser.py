@@ -17,7 +17,7 @@ from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.blocks import describe
-from cvxshear.report.html import render, render_described, render_modes
+from cvxshear.report.html import render
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
@@ -62,8 +62,8 @@ def reports(paper, eight, unexplained, comparison, shared_drawings, tmp_path_fac
     base = base_record(PAPER_FRAME, 0, noise=0.01, duration=240.0)
     records = (hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2), base)
     modes = [identify_modes(record, functions=True) for record in records]
-    (folder / "modes.html").write_text(render_modes(modes, "cvxshear modes a.toml b.toml"))
-    (folder / "tall.html").write_text(render_modes([twenty_modes(modes[0].sweep)], "cvxshear modes c.toml"))
+    (folder / "modes.html").write_text(render(modes, "cvxshear modes a.toml b.toml"))
+    (folder / "tall.html").write_text(render([twenty_modes(modes[0].sweep)], "cvxshear modes c.toml"))
     return folder, results
 
 
@@ -145,7 +145,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     mass, stiffness, _ = damped_frame(12)
     estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
     prediction = predict(estimate, DrivenRecord((DrivenRun(shaking(600)),), 100.0))
-    (tmp_path / "p.html").write_text(render_described(prediction, "cvxshear"))
+    (tmp_path / "p.html").write_text(render(prediction, "cvxshear"))
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
     drawings = page.query_selector_all(".drawing svg")

@@ -251,10 +251,14 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
     monkeypatch.setattr(style, "FIGURE_TABLE", few)
 
     @figures.figure(
-        "pie", cvxshear.LoopResult, title="Where the mass is", caption="Each floor's share of the mass.",
-        alternative="A pie of masses.", applies=lambda result: len(result.frame.floor_mass) > 1, needs="two floors",
+        "pie", cvxshear.LoopResult, title="Where the mass is", applies=lambda result: len(result.frame.floor_mass) > 1,
+        needs="two floors",
     )  # fmt: skip
     def pie(result):
+        """A pie of masses.
+
+        Each floor's share of the mass.
+        """
         drawn = Figure(figsize=(2, 2))
         drawn.subplots().pie(result.frame.floor_mass)
         return drawn

@@ -31,7 +31,7 @@ def test_modes_from_above_name_their_shares():
     result = cvxshear.identify(
         random_frame(2, 31, symmetric=True).experiment(noise=0.001, std=0.001), method="one-shot"
     )
-    figure = figures.identified_plan_shapes(result)
+    figure = figures.plan_shapes(result)
     assert_readable(figure)
     titles = [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
     assert len(titles) == 6

@@ -14,7 +14,7 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
 from cvxshear.report.blocks import describe
 from cvxshear.report.figures.style import figures_of
-from cvxshear.report.html import render_described
+from cvxshear.report.html import render
 from cvxshear.response import (
     DampedModel,
     Fitted,
@@ -103,7 +103,7 @@ def test_the_story_that_the_headline_names_is_drawn():
     for entry in figures_of(Reconstruction).values():
         assert_readable(entry.draw(found))
     assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)
-    page = render_described(found, "cvxshear reconstruct")
+    page = render(found, "cvxshear reconstruct")
     drawing = re.search(r'<figure id="figure-shaking">(.*?)</figure>', page, re.DOTALL)[1]
     pictures = [sways(each) for each in re.search(r'values="(M.*?)"', drawing)[1].split(";")]
     moved = found.runs[0].response.displacement

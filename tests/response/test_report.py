@@ -13,7 +13,7 @@ from cvxshear.cli import main
 from cvxshear.io.toml import write_measurement
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.blocks import describe
-from cvxshear.report.html import render_described
+from cvxshear.report.html import render
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.records.shared import csv
 from tests.report.conftest import NASTY
@@ -48,7 +48,7 @@ def prediction(closed, request):
 
 @pytest.fixture(scope="module")
 def text(prediction):
-    return render_described(prediction, COMMAND)
+    return render(prediction, COMMAND)
 
 
 def figures_of(page):

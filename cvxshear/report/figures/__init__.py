@@ -5,7 +5,7 @@
 
 # The order of these imports is the order of the figures in a report.
 # isort: off
-from cvxshear.report.figures.drawn_frame import findings, frame, identified_plan_shapes, planned, plans
+from cvxshear.report.figures.drawn_frame import findings, frame, planned, plans
 from cvxshear.report.figures.charts import changes_over_time, noise_boxes, noise_variation
 from cvxshear.report.figures.mode_figures import (
     functions, mac, modal_shapes, modes_over_amplitude, plan_shapes, shapes, stabilization,
@@ -18,7 +18,7 @@ from cvxshear.report.figures.style import FigureEntry, drawn_figure, figure, fig
 
 __all__ = [
     "FigureEntry", "animations", "changes_over_time", "drawn_figure", "figure", "figures_of", "findings", "frame",
-    "functions", "identified_plan_shapes", "mac", "modal_shapes", "modes_over_amplitude", "noise_boxes",
+    "functions", "mac", "modal_shapes", "modes_over_amplitude", "noise_boxes",
     "noise_variation", "plan_shapes", "planned", "plans", "reconstructed_histories", "response_histories",
     "response_peaks", "save", "shapes", "stabilization", "story_drifts",
 ]  # fmt: skip

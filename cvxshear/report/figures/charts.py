@@ -12,24 +12,24 @@ from matplotlib.patches import Patch
 
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import figure
 from cvxshear.screening import History
 from cvxshear.util.errors import InputError
 
 
-@figure(
-    "history",
-    History,
-    title="Frequencies, stiffnesses and damping over the tests",
-    alternative="Change of each frequency, story stiffness and damping ratio over the tests; the numbers are in the "
-    "table below.",
-    section="changes",
-)
+@style.figure("history", History, title="Frequencies, stiffnesses and damping over the tests", section="changes")
 def changes_over_time(result: History) -> Figure:
-    """Draw the change of frequencies, story stiffnesses and damping ratios over the tests.
+    """Change of each frequency, story stiffness and damping ratio over the tests; the numbers are in the table below.
 
     Dots: each test alone, relative to the mean over the tests, with one standard deviation. Lines: stiffnesses with
     the changes that were found.
+
+    Parameters
+    ----------
+    result : History
+
+    Returns
+    -------
+    Figure
     """
     tests = result.loop.experiment.configurations
     dated = all(each.date is not None for each in tests)
@@ -58,7 +58,7 @@ def changes_over_time(result: History) -> Figure:
     return figure
 
 
-@figure("variation", NoiseStudy, title="Coefficients of variation")
+@style.figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
 
@@ -91,7 +91,7 @@ def noise_variation(study: NoiseStudy) -> Figure:
     return figure
 
 
-@figure("boxes", NoiseStudy, title="Scatter of the estimates")
+@style.figure("boxes", NoiseStudy, title="Scatter of the estimates")
 def noise_boxes(study: NoiseStudy) -> Figure:
     """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
 

@@ -21,7 +21,6 @@ from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning import Plan, predicted
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.report.headline import NAMED, verdict_of
 from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, SURE, chance, counted, percent
@@ -96,22 +95,19 @@ def _findings_caption(result: LoopResult) -> str:
     )
 
 
-@figure(
-    "findings",
-    LoopResult,
-    title="What was found, and where",
-    caption=_findings_caption,
-    alternative=lambda result: (
-        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
-        "they act. The sentences above and the table of effects say the same."
-    ),
-    section="verdict",
-)
+@style.figure("findings", LoopResult, title="What was found, and where", caption=_findings_caption, section="verdict")
 def findings(result: LoopResult) -> Figure:
-    """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
+    """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
 
-    The figure has one panel for each state with effects, and one for a state without effects. If no effect was added,
-    the figure shows the frame's masses and stiffnesses.
+    Parameters
+    ----------
+    result : LoopResult
+
+    Returns
+    -------
+    Figure
+        One panel for each state with effects, and one for a state without effects. If no effect was added, the
+        figure shows the frame's masses and stiffnesses.
     """
     if not result.effects:
         return _numbered_frames(result.experiment, [("", result.averaged)], sensors=True)
@@ -119,7 +115,7 @@ def findings(result: LoopResult) -> Figure:
     rows, columns = style.grid_of(len(states), 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
     lines = max(sum(mark.lines for mark in each) for each in marks)
-    height = float(np.clip(max(result.experiment.stories * 0.36, lines * LINE), 1.9, 6.5))
+    height = float(np.clip(max(result.experiment.stories * 0.36, lines * style.LINE), 1.9, 6.5))
     drawn = style.new_figure(style.PAGE_WIDTH if columns > 1 else 5.4, rows * (height + 0.7))
     every = style.panels(drawn, len(states), columns, sharey=True)
     for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
@@ -140,7 +136,7 @@ def _shown_states(result: LoopResult) -> list[str | None]:
     # Effects are sorted by probability; their rivals follow.
     found, states = list(dict.fromkeys(concerned)), result.experiment.states
     free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in found]
-    shown = {*found[: MOST_PANELS - bool(free)], *free[:1]}
+    shown = {*found[: style.MOST_PANELS - bool(free)], *free[:1]}
     return [state for state in states if state in shown]
 
 
@@ -212,7 +208,7 @@ def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_M
     base = np.concatenate([[0.0], z])
     middles = np.array([np.mean(_extent(mark.placed, z)) for mark in marks])
     order = np.argsort(middles, kind="stable")
-    room = max((mark.lines for mark in marks), default=1) * LINE * total / height
+    room = max((mark.lines for mark in marks), default=1) * style.LINE * total / height
     levels = style.spread(middles[order], room, room / 2, total - room / 2)
     for mark, middle, level in zip([marks[each] for each in order], middles[order], levels, strict=True):
         for low, high in mark.joined:
@@ -283,23 +279,29 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
 # The identified frame with its numbers.
 
 
-@figure(
+@style.figure(
     "frame",
     LoopResult,
     Identification,
     title="The identified frame",
-    alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
     applies=lambda result: not result.experiment.frame.turns,
     needs="one motion per floor",
 )
 def frame(result: LoopResult | Identification) -> Figure:
-    """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
+    """Frame to scale with its identified masses and stiffnesses; the numbers are in the table above.
 
     The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
     story.
 
-    If each configuration was identified separately, each one has its panel.
+    Parameters
+    ----------
+    result : LoopResult or Identification
+
+    Returns
+    -------
+    Figure
+        If each configuration was identified separately, each one has its panel.
     """
     if isinstance(result, LoopResult):
         frames = [("", result.averaged)]
@@ -309,18 +311,20 @@ def frame(result: LoopResult | Identification) -> Figure:
     return _numbered_frames(result.experiment, frames)
 
 
-@figure(
-    "planned",
-    Plan,
-    title="The floors to measure",
-    alternative="The frame as designed, to scale, with the floors to measure; the numbers are in the tables below.",
-    section="choice",
-)
+@style.figure("planned", Plan, title="The floors to measure", section="choice")
 def planned(result: Plan) -> Figure:
-    """Draw the frame as designed, with the expected deviations and the floors to measure.
+    """Frame as designed, to scale, with the floors to measure; the numbers are in the tables below.
 
     The frame as designed, heights to scale; a slab is the thicker the heavier its floor, a column the wider the
     stiffer its story. Triangles: floors with a sensor. Deviations are those that the tests will leave.
+
+    Parameters
+    ----------
+    result : Plan
+
+    Returns
+    -------
+    Figure
     """
     design, std = result.model.design, result.chosen
     frame = IdentifiedFrame(design.floor_mass, design.story_stiffness, std.floor_mass_std, std.story_stiffness_std)
@@ -334,7 +338,7 @@ def _numbered_frames(
 ) -> Figure:
     """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)
-    height = float(np.clip(experiment.stories * 2 * LINE, 2.2, 8.0))
+    height = float(np.clip(experiment.stories * 2 * style.LINE, 2.2, 8.0))
     drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, experiment, found, title, height, sensors=sensors)
@@ -349,7 +353,7 @@ def _numbered(
     _structure(axes, found, z, at)
     if sensors:
         _sensors(axes, experiment, None, z, at)
-    _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
+    _numbers(axes, found, z, at, float(z[-1]) * style.LINE / inches)
     axes.set_ylabel(label)
     for x, text, std, align in (
         (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
@@ -381,20 +385,27 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
 ELLIPSE = float(np.sqrt(-2.0 * np.log(1.0 - SURE)))
 
 
-@figure(
+@style.figure(
     "plans",
     Identification,
     title="The floors from above",
-    alternative="Plans of the floors with their centers of mass and stiffness; the numbers are in the table above.",
     section="frame",
     applies=lambda result: result.experiment.frame.turns,
     needs="floors that turn",
 )
 def plans(result: Identification) -> Figure:
-    """Draw each floor from above with its mass center and the center of stiffness of the story below.
+    """Floors from above with their centers of mass and stiffness; the numbers are in the table above.
 
     Dots: mass centers; diamonds: centers of stiffness of the story below; ellipses of 95 %, from the deviations of x
     and y. Black: sensors and their directions. A center that the data leave open is not drawn.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    Figure
     """
     frame, sensors = result.parts[0].frame, result.experiment.configurations[0].sensors
     assert isinstance(frame, TurningFrame)
@@ -422,25 +433,6 @@ def plans(result: Identification) -> Figure:
     kept = dict(zip(labels, handles, strict=True))
     drawn.legend(kept.values(), kept.keys(), loc="outside upper center", ncols=len(kept))
     return drawn
-
-
-@figure(
-    "plan_shapes",
-    Identification,
-    title="Mode shapes from above",
-    alternative="Mode shapes of the identified frame from above; the numbers are in the tables.",
-    section="shapes",
-    applies=lambda result: result.experiment.frame.turns,
-    needs="floors that turn",
-)
-def identified_plan_shapes(result: Identification) -> Figure:
-    """Draw the floors from above in each mode of the identified frame, with the shares of x, y and rotation.
-
-    Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
-    """
-    found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
-    modes = found.modes - 1
-    return moved_plans(tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan)
 
 
 def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:

@@ -1,5 +1,6 @@
 """Draw modes: measured and modelled shapes and their assurance criterion; shapes, poles and functions of records."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogFormatter, MaxNLocator
+from matplotlib.ticker import LogFormatter
 
 from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
@@ -20,9 +21,7 @@ from cvxshear.records import ModalResult
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
 from cvxshear.records.result import band_of, over_amplitude, synthesized
-from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_frame import elevations, moved_plans
-from cvxshear.report.figures.style import figure
+from cvxshear.report.figures import drawn_frame, style
 from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
@@ -126,49 +125,72 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 
 
-@figure(
-    "shapes",
-    LoopResult,
-    title="Mode shapes",
-    alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
-    section="shapes",
-)
+@style.figure("shapes", LoopResult, title="Mode shapes", section="shapes")
 def shapes(result: LoopResult) -> Figure:
-    """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
+    """Measured mode shapes with error bars beside those of the shear model and of the final model.
 
     Dots with error bars are measured, the solid line is the final model. Where effects were added, the dashed line is
     the shear model.
 
-    Each configuration and measured mode has one panel.
+    Parameters
+    ----------
+    result : LoopResult
+
+    Returns
+    -------
+    Figure
+        Each configuration and measured mode has one panel.
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    columns, figure = style.shape_figure(counts, result.experiment.stories)
-    z, label = elevations(result.experiment)
-    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
-    drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
-    for (axes, place), first, last in zip(drawn, before, after, strict=True):
-        _shape_panel(axes, z, first if len(result.steps) > 1 else None, last)
-        if place % columns == 0:
-            axes.set_ylabel(label)
-    figure.supxlabel("sway (largest measured entry = 1)", fontsize=8.5)
+    z, label = drawn_frame.elevations(result.experiment)
+    figure, groups = _shape_panels(counts, label, "sway (largest measured entry = 1)", z)
+    for axes, first, last in zip(itertools.chain(*groups), before, after, strict=True):
+        lines = [(last.modelled, {"color": style.AFTER, "lw": 1.6})]
+        if len(result.steps) > 1:
+            lines.append((first.modelled, SHEAR))
+        _shape(axes, z, lines, (last.measured, z[last.floors - 1], last.std))
+        name = style.letters(last.configuration, 16)
+        axes.set_title(f"{name}\nmode {last.mode}: {last.frequency:#.4g} Hz", fontsize=7.5)
     handles = _legend(changed=len(result.steps) > 1)
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
-def _shape_panel(axes: Axes, z: Floats, before: ModeShape | None, after: ModeShape) -> None:
-    base = np.concatenate([[0.0], z])
-    axes.axvline(0, color="#C8C8C8", lw=0.5)
-    axes.plot(np.concatenate([[0.0], after.modelled]), base, color=style.AFTER, lw=1.6)
-    if before is not None:
-        axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
-    style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
-    axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(z[-1])))
-    axes.set_title(
-        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.frequency:#.4g} Hz", fontsize=7.5
-    )
+def _shape_panels(
+    counts: Sequence[int], label: str, sway: str, levels: Floats | Ints
+) -> tuple[Figure, list[list[Axes]]]:
+    """Make a panel for each mode of each group up to the highest level, with the labels of the axes."""
+    # A panel of a shape is narrow: one more fits into a row.
+    columns = style.even_columns(max(counts), style.MOST_PANELS + 1)
+    rows = sum(-(-count // columns) for count in counts)
+    # A panel has its title of three lines, and a line for each story.
+    height = rows * (float(np.clip(len(levels), 9, 17)) + 3.5) + 5
+    figure = style.new_figure(style.PAGE_WIDTH, style.LINE * height)
+    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    for group in groups:
+        for axes in group[::columns]:
+            axes.set_ylabel(label)
+        for axes in group:
+            axes.axvline(0, color="#C8C8C8", lw=0.5)
+            axes.axhline(0, color=style.GREY, lw=0.8)
+            axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(levels[-1])))
+            axes.locator_params("y", integer=bool(np.all(levels == np.round(levels))))
+    figure.supxlabel(sway, fontsize=8.5)
+    return figure, groups
+
+
+def _shape(
+    axes: Axes,
+    levels: Floats | Ints,
+    lines: Sequence[tuple[Floats, dict[str, Any]]],
+    measured: tuple[Floats, Floats | Ints, Floats | None],
+) -> None:
+    """Draw shapes from the ground up over the levels, and measured values over their heights with one deviation."""
+    for shape, look in lines:
+        axes.plot(np.concatenate([[0.0], shape]), np.concatenate([[0.0], levels]), **look)
+    values, heights, std = measured
+    axes.errorbar(values, heights, xerr=std, fmt="o", color=style.MEASURED, ms=3.0, capsize=2.0, lw=0.9, zorder=5)
 
 
 def _legend(*, changed: bool) -> list[Line2D]:
@@ -195,21 +217,27 @@ def _mac_caption(result: LoopResult | Identification) -> str:
     return f"{first} mode of the model. {said}"
 
 
-@figure(
+@style.figure(
     "mac",
     LoopResult,
     Identification,
     title="Measured and modelled modes",
     caption=_mac_caption,
-    alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
     section="shapes",
     applies=lambda result: any(each.measured.any() and not each.sensors for each in result.experiment.configurations),
     needs="measured mode shapes",
 )
 def mac(result: LoopResult | Identification) -> Figure:
-    """Draw the MAC matrix of each configuration.
+    """Modal assurance criterion of every measured mode with every mode of the final model.
 
-    Each configuration has one panel; dark is 0, light is 1, also in black and white.
+    Parameters
+    ----------
+    result : LoopResult or Identification
+
+    Returns
+    -------
+    Figure
+        Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """
     modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
     every, tables = list(range(1, result.experiment.stories + 1)), mac_tables(result)
@@ -261,7 +289,7 @@ POLES: dict[str, dict[str, Any]] = {
 }
 
 
-@figure(
+@style.figure(
     "stabilization",
     ModalResult,
     title="Stabilization diagram",
@@ -330,7 +358,7 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
 
-@figure(
+@style.figure(
     "amplitude",
     ModalResult,
     title="Modes over the amplitude of the motion",
@@ -338,7 +366,7 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     needs="three continuous records or more",
 )
 def modes_over_amplitude(*results: ModalResult) -> Figure:
-    """Draw frequency and damping of each mode over the largest motion in each record.
+    """Frequency and damping of each mode over the largest motion in each record.
 
     Frequencies relative to their median over the records, and damping ratios. Each dot is a record.
 
@@ -375,7 +403,7 @@ FUNCTIONS = {
 }
 
 
-@figure(
+@style.figure(
     "functions",
     ModalResult,
     title="Measured and synthesized functions",
@@ -403,48 +431,35 @@ def functions(*results: ModalResult) -> Figure:
     InputError
         If a result has no functions.
     """
-    figure, groups = _panels_of(results)
-    for result, drawn in zip(results, groups, strict=True):
-        seen, made = _functions_of(result), synthesized(result)
+    every = [result.functions for result in results if result.functions is not None]
+    counts = [len(seen.floors) for seen in every]
+    columns = style.even_columns(max(counts), 4 if max(counts) > 9 else 3)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * sum(-(-count // columns) for count in counts) + 0.7)
+    figure.supxlabel("frequency, Hz", fontsize=8.5)
+    groups = style.panels_by_group(figure, counts, columns)
+    for result, seen, drawn in zip(results, every, groups, strict=True):
+        made = synthesized(result)
         drawn[0].set_ylabel(_named(seen), fontsize=7)
         shown = band_of(seen.frequencies, result.frequencies)
         strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
         lines = seen.frequencies[shown]
         for output, (axes, column) in enumerate(zip(drawn, strongest, strict=True)):
-            axes.plot(lines, np.abs(seen.values[shown, output, column]), color="black", lw=0.8, label="measured")
-            axes.plot(
-                lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
-            )
+            measured, modelled = (np.abs(each[shown, output, column]) for each in (seen.values, made))
+            axes.plot(lines, measured, color="black", lw=0.8, label="measured")
+            axes.plot(lines, modelled, color=style.BEFORE, ls="--", lw=1.1, label="of the modes")
             axes.set_yscale("log")
             # Names may contain dollars, so that no text is parsed as a formula.
             axes.yaxis.set_major_formatter(LogFormatter())
             axes.yaxis.set_minor_formatter(LogFormatter())
-            _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
+            for frequency in result.frequencies:
+                axes.axvline(float(frequency), color=style.GREY, lw=0.5, alpha=0.6, zorder=0)
+            title = f"floor {seen.floors[output]}{_against(seen, int(column))}"
+            name = f"{style.letters(result.name, 20)}\n" if len(results) > 1 else ""
+            axes.set_title(f"{name}{title}", fontsize=7.5)
+            axes.grid(axis="y")
+            axes.tick_params(labelsize=7)
     style.legend(figure, groups[0][0], 2)
     return figure
-
-
-def _functions_of(result: ModalResult) -> Functions:
-    assert result.functions is not None
-    return result.functions
-
-
-def _panels_of(results: Sequence[ModalResult]) -> tuple[Figure, list[list[Axes]]]:
-    """Arrange the panels, one for each floor; each record begins a new row."""
-    counts = [len(_functions_of(result).floors) for result in results]
-    most = max(counts)
-    columns = style.even_columns(most, 4 if most > 9 else 3)
-    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * sum(-(-count // columns) for count in counts) + 0.7)
-    figure.supxlabel("frequency, Hz", fontsize=8.5)
-    return figure, style.panels_by_group(figure, counts, columns)
-
-
-def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
-    for frequency in result.frequencies:
-        axes.axvline(float(frequency), color=style.GREY, lw=0.5, alpha=0.6, zorder=0)
-    axes.set_title(f"{style.letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
-    axes.grid(axis="y")
-    axes.tick_params(labelsize=7)
 
 
 def _against(seen: Functions, column: int) -> str:
@@ -463,33 +478,40 @@ def _named(seen: Functions) -> str:
     return FUNCTIONS[seen.quantity]
 
 
-@figure(
+@style.figure(
     "shapes",
     ModalResult,
     title="Mode shapes",
-    alternative="Mode shapes; the numbers are in the table above.",
     applies=lambda *results: not any(result.sensors for result in results),
     needs="one motion a floor",
 )
 def modal_shapes(*results: ModalResult) -> Figure:
-    """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
+    """Mode shapes with their standard deviations; the numbers are in the table above.
 
     Real normal modes, the largest entry 1; bars are one standard deviation.
 
-    The largest entry is 1; a mode has the same sign in all records.
+    Parameters
+    ----------
+    *results : ModalResult
+
+    Returns
+    -------
+    Figure
+        One panel a record and mode; a mode has the same sign in all records.
     """
+    levels = np.arange(1, max(result.stories for result in results) + 1)
     counts = [len(result.frequencies) for result in results]
-    stories = max(result.stories for result in results)
-    columns, figure = style.shape_figure(counts, stories)
-    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    figure, groups = _shape_panels(counts, "floor", "sway (largest entry = 1)", levels)
     facing: dict[int, tuple[ModalResult, Floats]] = {}
     for result, drawn in zip(results, groups, strict=True):
         for row, (axes, mode) in enumerate(zip(drawn, result.modes, strict=True)):
             shape = _facing(result, scaled_to_one(result.mode_shapes[row]), facing, int(mode))
-            _panel(axes, result, row, shape, stories)
-            if row % columns == 0:
-                axes.set_ylabel("floor")
-    figure.supxlabel("sway (largest entry = 1)", fontsize=8.5)
+            stds, frequency_std = result.written_entry_std[row], float(result.written_frequency_std[row])
+            known = stds if np.all(np.isfinite(stds)) else None
+            _shape(axes, result.floors, [(shape, {"color": style.AFTER})], (shape, result.floors, known))
+            std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
+            frequency = f"{result.frequencies[row]:#.4g} Hz{std}"
+            axes.set_title(f"{style.letters(result.name, 18)}\nmode {mode}\n{frequency}", fontsize=7)
     return figure
 
 
@@ -500,32 +522,38 @@ def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalRes
     return -shape if shape[mine] @ before[theirs] < 0 else shape
 
 
-def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: int) -> None:
-    heights = np.concatenate([[0], result.floors])
-    axes.axvline(0, color="#C8C8C8", lw=0.5)
-    axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
-    stds, frequency_std = result.written_entry_std[row], float(result.written_frequency_std[row])
-    style.error_bars(axes, shape, result.floors, stds if np.all(np.isfinite(stds)) else None)
-    axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set(xlim=(-1.3, 1.3), xticks=[-1, 0, 1], ylim=(0, 1.07 * stories))
-    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
-    title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
-    axes.set_title(title, fontsize=7)
+def _seen_from_above(*results: Any) -> bool:
+    first = results[0]
+    sensors = first.sensors if isinstance(first, ModalResult) else first.experiment.frame.turns
+    return len(results) == 1 and bool(sensors)
 
 
-@figure(
+@style.figure(
     "plan_shapes",
     ModalResult,
+    Identification,
     title="Mode shapes from above",
-    alternative="Mode shapes of the floors from above; the numbers are in the table above.",
     section="shapes",
-    applies=lambda *results: len(results) == 1 and bool(results[0].sensors),
-    needs="one record of floors that turn",
+    applies=_seen_from_above,
+    needs="one test of floors that turn",
 )
-def plan_shapes(result: ModalResult) -> Figure:
-    """Draw the floors from above in each mode, with the shares of x, y and rotation.
+def plan_shapes(result: ModalResult | Identification) -> Figure:
+    """Mode shapes of the floors from above, with the shares of x, y and rotation; the numbers are in the tables.
 
     Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
+
+    Parameters
+    ----------
+    result : ModalResult or Identification
+
+    Returns
+    -------
+    Figure
     """
-    return moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
+    if isinstance(result, ModalResult):
+        return drawn_frame.moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
+    found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
+    modes = found.modes - 1
+    return drawn_frame.moved_plans(
+        tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan
+    )

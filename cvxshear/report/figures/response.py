@@ -13,10 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import scaled_to_one
-from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_frame import elevations
-from cvxshear.report.figures.mode_figures import mode_shapes
-from cvxshear.report.figures.style import figure
+from cvxshear.report.figures import drawn_frame, mode_figures, style
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.predicted import RESPONSES
@@ -56,7 +53,7 @@ def _floors(result: RecordPrediction) -> Ints:
     return _spread(places, ranking.first_largest(peaks) + 1)
 
 
-@figure(
+@style.figure(
     "history",
     RecordPrediction,
     title="Accelerations over time",
@@ -69,7 +66,16 @@ def _floors(result: RecordPrediction) -> Ints:
     section="peaks",
 )
 def response_histories(result: RecordPrediction) -> Figure:
-    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured."""
+    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
     floors = _floors(result)
     model = result.after.damped.model
     sizes = [np.abs(item.acceleration) for item in result.after.responses]
@@ -108,16 +114,20 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     axes.grid(visible=True, axis="y")
 
 
-@figure(
-    "peaks",
-    RecordPrediction,
-    title="Peaks",
-    caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
-    alternative="Peaks over the height; the numbers are in the table above.",
-    section="peaks",
-)
+@style.figure("peaks", RecordPrediction, title="Peaks", section="peaks")
 def response_peaks(result: RecordPrediction) -> Figure:
-    """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
+    """Peaks over the height; the numbers are in the table above.
+
+    Peaks over the height with error bars that hold 95 %; circles are measured.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
     shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
     figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
@@ -154,7 +164,7 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         axes.plot(top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
-@figure(
+@style.figure(
     "drifts",
     Reconstruction,
     title="Drift of every story",
@@ -162,13 +172,19 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         f"Peak drift of each story with bars that hold 95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, "
         f"and the limits; {_changes(result)}. Triangles mark the floors with sensors."
     ),
-    alternative=lambda result: (
-        f"Peak drift of each story over the height; {_changes(result)}. The numbers are in the table of the stories."
-    ),
     section="findings",
 )
 def story_drifts(result: Reconstruction) -> Figure:
-    """Draw the peak drift of each story with 95 % bars, the prediction, the limits and the sensors."""
+    """Peak drift of each story over the height; the numbers are in the table of the stories.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
     peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
@@ -202,7 +218,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     return figure
 
 
-@figure(
+@style.figure(
     "histories",
     Reconstruction,
     title="Drifts over time",
@@ -215,7 +231,16 @@ def story_drifts(result: Reconstruction) -> Figure:
     section="frame",
 )
 def reconstructed_histories(result: Reconstruction) -> Figure:
-    """Drifts of the stories over time around the strongest motion, with 95 % bands."""
+    """Drifts of the stories over time around the strongest motion, with 95 % bands.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
     sizes = [np.abs(item.response.drift) for item in result.runs]
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
@@ -280,8 +305,10 @@ def animations(*results: Any) -> Iterator[Json]:
 @animations.register
 def _swaying(result: LoopResult) -> Iterator[Json]:
     """Move the modes of the final model, each as the first test that measured it shows it."""
-    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_shapes(result.estimate))}
-    yield _modes(found, elevations(result.experiment)[0], "The modes of the final model, with measured frequencies.")
+    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
+    yield _modes(
+        found, drawn_frame.elevations(result.experiment)[0], "The modes of the final model, with measured frequencies."
+    )
 
 
 @animations.register

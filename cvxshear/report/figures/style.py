@@ -29,7 +29,7 @@ from matplotlib.ft2font import FT2Font
 from matplotlib.ticker import AutoLocator, LogLocator
 
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
 
 PlotArguments = ParamSpec("PlotArguments")
@@ -180,23 +180,9 @@ def looks(count: int) -> list[dict[str, Any]]:
     return [{"color": colour, "ls": line, "marker": marker} for _, colour, line, marker in marks]
 
 
-def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats | None, **look: Any) -> None:
-    """Draw measured values over the height with bars of one standard deviation."""
-    axes.errorbar(values, heights, xerr=std, fmt="o", color=MEASURED, ms=3.0, capsize=2.0, lw=0.9, **look)
-
-
 def even_columns(most: int, fitting: int) -> int:
     """Compute the number of columns that fills the rows of the largest group best, at most `fitting`."""
     return -(-most // -(-most // fitting))
-
-
-def shape_figure(counts: Sequence[int], stories: int) -> tuple[int, Figure]:
-    """Make a figure for groups of mode-shape panels; return the number of columns and the figure."""
-    # A panel of a shape is narrow: one more fits into a row.
-    columns = even_columns(max(counts), MOST_PANELS + 1)
-    rows = sum(-(-count // columns) for count in counts)
-    # A panel has its title of three lines, and a line for each story.
-    return columns, new_figure(PAGE_WIDTH, LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
@@ -282,10 +268,6 @@ def inline_svg(figure: Figure, name: str) -> str:
     return head + body
 
 
-#: A text, or a function that makes the text from the results.
-Words = str | Callable[..., str]
-
-
 @dataclass(frozen=True)
 class FigureEntry:
     """A figure of one kind of result.
@@ -298,9 +280,9 @@ class FigureEntry:
         Takes the results and returns the figure.
     title : str
         Heading of the figure.
-    caption : str or callable
-        Text below the figure; a callable takes the results.
-    alternative : str or callable
+    caption_of : callable
+        Takes the results and returns the text below the figure.
+    alternative : str
         Description for readers who cannot see the figure.
     section : str
         Key of the report section that ends with the figure; if empty, the figure has its own section.
@@ -313,19 +295,11 @@ class FigureEntry:
     name: str
     draw: Callable[..., Figure]
     title: str
-    caption: Words
-    alternative: Words
+    caption_of: Callable[..., str]
+    alternative: str
     section: str
     applies: Callable[..., bool]
     needs: str
-
-    def caption_of(self, *results: Any) -> str:
-        """Write the caption of the figure of these results."""
-        return self.caption if isinstance(self.caption, str) else self.caption(*results)
-
-    def alternative_of(self, *results: Any) -> str:
-        """Describe the figure of these results for readers who cannot see the figure."""
-        return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
 
 
 #: Figures by the type of their result, in the order of a report.
@@ -336,22 +310,24 @@ def figure(
     name: str,
     *results: type,
     title: str,
-    caption: Words = "",
-    alternative: Words = "",
+    caption: Callable[..., str] | None = None,
     section: str = "",
     applies: Callable[..., bool] = lambda *results: True,
     needs: str = "",
 ) -> Callable[[Callable[..., Figure]], Callable[..., Figure]]:
     """Add a drawing function to the table of figures, for each type of result that the function draws.
 
+    The first line of the function's docstring describes the figure for readers who cannot see it.
+
     Parameters
     ----------
     name : str
     *results : type
         Types such as `LoopResult`. If the user names a file and no figure, the first figure of a type is drawn.
-    title, caption, alternative, section, applies, needs
-        As in `FigureEntry`. An empty alternative text becomes the first line of the function's docstring, and an empty
-        caption becomes its second paragraph.
+    title, section, applies, needs
+        As in `FigureEntry`.
+    caption : callable, optional
+        Takes the results and returns the text below the figure. Default: the second paragraph of the docstring.
 
     Returns
     -------
@@ -362,6 +338,8 @@ def figure(
 
     def entered(draw: Callable[..., Figure]) -> Callable[..., Figure]:
         in_style = styled(draw)
+        said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
+        own = "".join(part for part in said[1:2] if "---" not in part)
 
         @wraps(draw)
         def drawn(*given: Any, **options: Any) -> Figure:
@@ -369,25 +347,12 @@ def figure(
                 raise InputError(f"the figure {name!r} needs {needs}")
             return in_style(*given, **options)
 
-        drawn.__doc__ = _documented(draw, results)
-        said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
-        words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
-        entry = FigureEntry(name, drawn, title, *words, section, applies, needs)
+        entry = FigureEntry(name, drawn, title, caption or (lambda *_: own), said[0], section, applies, needs)
         for result in results:
             FIGURE_TABLE.setdefault(result, {})[name] = entry
         return drawn
 
     return entered
-
-
-def _documented(draw: Callable[..., Figure], results: tuple[type, ...]) -> str:
-    """Complete the docstring of a drawing function by its parameters and its return value."""
-    said = inspect.getdoc(draw) or ""
-    if "Parameters\n---" in said:
-        return said
-    several = inspect.getfullargspec(draw).varargs is not None
-    taken = f"{'*results' if several else 'result'} : {' or '.join(each.__name__ for each in results)}"
-    return f"{said}\n\nParameters\n----------\n{taken}\n\nReturns\n-------\nFigure"
 
 
 def figures_of(result: type) -> dict[str, FigureEntry]:
