@@ -185,7 +185,7 @@ def date(value: object, where: str) -> str:
     if isinstance(value, datetime.date):
         return value.isoformat()
     for kind in (datetime.date, datetime.datetime):
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             return kind.fromisoformat(str(value)).isoformat()
     raise InputError(f"{where} must be a date such as 2024-05-03, not {shown(value)}")
 

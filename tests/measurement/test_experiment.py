@@ -215,7 +215,7 @@ def test_with_priors_adds_to_its_own():
     assert after.priors == (*before.priors, second)
     assert len(before.priors) == 1
     assert before.with_priors([]) is before
-    with pytest.raises(InputError, match=r"^prior 1: at of the value prior = 4 must lie between 1 and 3$"):
+    with pytest.raises(InputError, match=r"^prior 2: at of the value prior = 4 must lie between 1 and 3$"):
         before.with_priors([Prior.from_dict({"kind": "value", "quantity": "floor_mass", "at": 4, "value": 1})])
 
 
@@ -249,8 +249,8 @@ def rich():
         "configuration": [
             {
                 "name": "bare",
-                "frequencies": FREQUENCIES,
-                "mode_shapes": [SHAPES[0], [np.nan, 1.0, -1.0], [np.nan] * 3],
+                "frequencies": [*FREQUENCIES],
+                "mode_shapes": [[*SHAPES[0]], [np.nan, 1.0, -1.0], [np.nan] * 3],
                 "measured_floors": [1, 3, 4],
                 "modes": [1, 2, 4],
                 "frequency_std": [0.001, 0.002, 0.003],
