@@ -32,10 +32,11 @@ from cvxshear.util.errors import CvxshearError, FaultyEffectError, InputError
 from cvxshear.util.typing import Floats
 
 __all__ = [
-    "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
-    "EccentricMass", "EccentricStiffness", "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling", "Parameter", "Place", "Scale",
-    "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "Wall", "catalogue",
-    "compose", "heights_of", "named", "open_classes", "refuse_faulty", "refuse_repeated", "register",
+    "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "EccentricMass", "EccentricStiffness",
+    "Effect", "Gravity", "GroundSpring", "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling",
+    "Parameter", "Place", "Scale", "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange",
+    "TotalMass", "Wall", "catalogue", "compose", "heights_of", "named", "open_classes", "refuse_faulty",
+    "refuse_repeated", "register",
 ]  # fmt: skip
 
 _catalogue: dict[str, Effect] = {

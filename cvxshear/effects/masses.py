@@ -91,7 +91,7 @@ class AddedMass(Effect):
         return np.concatenate([super().sizes(scale)[:1], np.full(len(self.parameters) - 1, np.inf)])
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        at = [f"{axis} = {with_std(*each, 'm')}" for axis, *each in zip("xy", values[1:], std[1:], strict=False)]
+        at = [f"{axis} = {with_std(x, dx, 'm')}" for axis, x, dx in zip("xy", values[1:], std[1:], strict=False)]
         return super().phrase(place, values, std, scale, units) + (f", at {' and '.join(at)}" if at else "")
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

@@ -13,11 +13,13 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 #: Order of the effects on a tested state, independent of the order of their names: the centers of floors and stories
-#: that turn, the braces' part of the stories, the story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added
-#: flexibility of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses,
-#: and the sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility.
+#: that turn, the braces' part of the stories, the story stiffnesses, the joints between columns and beams, the
+#: differences of the beams between floors, added flexibility of the frame, added springs, masses, the weight of these
+#: masses, the coupling of masses, attached masses, and the sensors' readings of the shapes. The stiffness matrix is
+#: assembled before the flexibility.
 STAGES = (
-    "center", "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
+    "center", "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment",
+    "shape",
 )  # fmt: skip
 
 
@@ -32,14 +34,14 @@ class Scale:
     heights : ndarray, shape (N,)
         Story heights, m; ones if not declared.
     radius : ndarray, shape (N,), optional
-        Radii of gyration of floors that turn, m.
+        Radii of gyration of floors that turn, m. Default: 1 m.
     motions : Motions, optional
     """
 
     floor_mass: float
     story_stiffness: float
     heights: Floats
-    radius: Floats = field(default_factory=lambda: np.ones(0))
+    radius: Floats = field(default_factory=lambda: np.ones(1))
     motions: Motions = ONE_MOTION
 
     @staticmethod
@@ -56,7 +58,7 @@ class Scale:
     @property
     def units(self) -> Floats:
         """Size of every parameter of a frame of such floors and stories."""
-        radius = self.radius if len(self.radius) else np.ones(len(self.heights))
+        radius = np.broadcast_to(self.radius, len(self.heights))
         return self.motions.units(self.floor_mass, self.story_stiffness, radius)
 
     @property

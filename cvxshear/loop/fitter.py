@@ -200,13 +200,18 @@ class Fitter:
         size = np.concatenate([experiment.units(mass, stiffness), np.ones(len(start) - len(frame))])
         size_of_general = THREE_MOTIONS.units(mass, stiffness, experiment.radius)
 
-        def parameters(x: Floats) -> tuple[Floats, Floats]:
+        def off(x: Floats) -> tuple[Floats, Floats]:
             theta, slopes = general_parameters(composition.compose(experiment, bare, effects, size * x))
             return (theta - general) / size_of_general, slopes * size / size_of_general[:, None]
 
-        first = np.concatenate([frame, start[len(frame) :]]) / size
-        nearest: Floats = optimize.least_squares(lambda x: parameters(x)[0], first, lambda x: parameters(x)[1]).x
-        return size * nearest
+        def residuals(x: Floats) -> Floats:
+            return off(x)[0]
+
+        def derivatives(x: Floats) -> Floats:
+            return off(x)[1]
+
+        nearest = optimize.least_squares(residuals, np.concatenate([frame, start[len(frame) :]]) / size, derivatives)
+        return np.asarray(size * nearest.x)
 
     def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""

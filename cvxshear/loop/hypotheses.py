@@ -350,7 +350,9 @@ def few_floors_seen(experiment: Experiment) -> bool:
 
     Sensors of floors that turn are at all of them.
     """
-    return not experiment.frame.turns and not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+    return not experiment.frame.turns and not any(
+        2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations
+    )
 
 
 def dual_fits_as_well(experiment: Experiment) -> bool:

@@ -126,7 +126,7 @@ class Experiment(Shown):
                     "direction of each entry of a shape, in place of measured_floors"
                 )
         if self.frame.turns:
-            for key, given in (("prior", self.priors), ("static", self.static), ("effect", self.expected)):
+            for key, given in (("prior", self.priors), ("static", self.static)):
                 if given:
                     raise InputError(f"[[{key}]] is of frames with one motion per floor; this one turns (motions)")
 

@@ -112,13 +112,15 @@ def states_section(result: LoopResult, units: quantities.Units) -> blocks.Sectio
     The changes are those of the verdict's set, and the values they start from those of the averaged frame.
     """
     of_set, averaged = result.frame, result.averaged
-    stiffer, heavier = averaged.story_stiffness / of_set.story_stiffness, averaged.floor_mass / of_set.floor_mass
-    of_stories = {"stories": ("Sway stiffness of each story", sway_stiffness, stiffer)}
+    heavier, stiffnesses = averaged.floor_mass / of_set.floor_mass, (averaged.story_stiffness, of_set.story_stiffness)
     if result.experiment.frame.turns:
         of_stories = {
-            f"stories-{axis}": (f"Stiffness of each story in {axis}", _along(at), stiffer[:, at, at])
+            f"stories-{axis}": (f"Stiffness of each story in {axis}", _along(at), np.divide(*entries))
             for at, axis in enumerate("xy")
+            for entries in [[each[:, at, at] for each in stiffnesses]]
         }
+    else:
+        of_stories = {"stories": ("Sway stiffness of each story", sway_stiffness, np.divide(*stiffnesses))}
     stories = (
         table
         for key, (title, quantity, ratio) in of_stories.items()

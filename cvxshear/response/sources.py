@@ -170,7 +170,8 @@ def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Locate
     recorded = toml.is_record_file(source)
     experiment = modes.experiment_from_file(source) if recorded else load_unscaled(source)
     names = [each.name for each in experiment.configurations]
-    return models_of_loop(close_loop(opened(experiment), assume=assume, backend=backend, weighed=names if recorded else ()))
+    weighed = names if recorded else ()
+    return models_of_loop(close_loop(opened(experiment), assume=assume, backend=backend, weighed=weighed))
 
 
 def load_unscaled(path: str | Path) -> Experiment:
