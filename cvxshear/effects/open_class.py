@@ -92,7 +92,7 @@ def named_pair(i: int, j: int) -> str:
 
 
 #: Motions of floors that turn, in words behind the name of a floor or story.
-DIRECTIONS = (" in x", " in y", " in rotation")
+WAYS = (" in x", " in y", " in rotation")
 
 
 class OtherStiffness(OpenClass):
@@ -116,7 +116,7 @@ class OtherStiffness(OpenClass):
     never_negative = "spring"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        parts = DIRECTIONS if experiment.frame.turns else ("",)
+        parts = WAYS if experiment.frame.turns else ("",)
         ties = pairs(experiment.stories, ground=True)
         return [Parameter(f"{named_pair(i, j)}{part}", "N/m") for part in parts for i, j in ties]
 
@@ -206,7 +206,7 @@ class OtherChanges(OpenClass):
     place_in_words = "what changed most is"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        parts = DIRECTIONS if experiment.frame.turns else ("",)
+        parts = WAYS if experiment.frame.turns else ("",)
         stories = range(1, experiment.stories + 1)
         return [Parameter(f"story {i}{part}", "", lower=-0.99) for i in stories for part in parts]
 

@@ -298,7 +298,7 @@ class Posterior:
             x, std = (np.array([getattr(frame, key) for frame in frames]) for key in (name, f"{name}_std"))
             found[name] = np.tensordot(share, x, 1)
             found[f"{name}_std"] = np.sqrt(np.tensordot(share, std**2 + (x - found[name]) ** 2, 1))
-        return dataclasses.replace(self.best.estimate.frame, at_bounds=(), **found)
+        return dataclasses.replace(frames[0], at_bounds=(), **found)
 
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:

@@ -398,7 +398,7 @@ def opened(source: Measurement, *, turning: bool = False) -> Experiment:
     if found.frame.turns and not turning:
         raise UnsuitableError(
             f"the floors of {found.name} turn (frame: motions), and this takes frames with one motion per floor; "
-            "identify (methods efficient and one-shot), close_loop, programs.one_shot_masses and "
+            "identify (methods efficient and one-shot), compare_backends, close_loop, programs.one_shot_masses and "
             "programs.story_stiffnesses take such floors"
         )
     return found

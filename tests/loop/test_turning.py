@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear.report.figures.style import applicable
 from tests.fe.plan_frames import random_frame
 from tests.studies import eccentric
 from tests.studies.eccentric import NOISE, damaged, drawn
@@ -65,6 +66,9 @@ def test_damage_is_found_at_its_side_beside_the_heavy_slab():
         (value,), (std,) = item.parameters.values(), item.std.values()
         expected = -BRACE["y" if "in y" in label else "x"] if "story" in label else -0.048
         assert abs(value - expected) < 3.5 * std
+    shown = [text.get_text() for axes in result.figure("plans").axes for text in axes.texts]
+    sizes = [item.parameters["change"] for label, item in found.items() if "story" in label]
+    assert sorted(shown) == sorted(f"{100 * size:.1f} %" for size in sizes)
 
 
 def test_a_mass_at_a_corner_is_found_with_its_place():
@@ -92,6 +96,18 @@ def test_a_wrong_gain_is_found_at_its_sensor():
     assert found.placed.place.floor == 2
     assert "along 90 degrees" in found.placed.place.part
     assert found.parameters["g"] == pytest.approx(0.1, abs=3.5 * found.std["g"])
+
+
+def test_the_tables_have_floors_stories_and_both_models():
+    result = cvxshear.close_loop("examples/turning_floors.toml")
+    assert set(named(result)) == {
+        "eccentric mass at floor 1 in x", "eccentric mass at floor 1 in y", "eccentric stiffness in x"
+    }  # fmt: skip
+    table = result.to_dataframe()
+    np.testing.assert_allclose(table["mass_center_x_m"], result.averaged.mass_center[:, 0])
+    np.testing.assert_allclose(table["stiffness_center_x_m"], result.averaged.stiffness_center[:, 0])
+    assert "symmetric model" in str(result)
+    assert {entry.name for entry in applicable(result)} == {"plans", "plan_shapes"}
 
 
 def test_effects_of_other_floors_are_refused_by_name():
