@@ -8,7 +8,7 @@ from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.effects import compose
 from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
-from cvxshear.loop.results import AddedEffect, by_part
+from cvxshear.loop.results import VERDICTS, AddedEffect, by_part
 from cvxshear.report import blocks, headline, identified
 from cvxshear.util import quantities
 from cvxshear.util.typing import Bools, Floats
@@ -25,9 +25,9 @@ def _closure(result: LoopResult) -> blocks.Document:
         limits_section(result),
         states_section(result, units),
         frame_section(result, units),
-        *([identified.other_frames_section(result, units)] if result.other_frames else []),
+        identified.other_frames_section(result, units),
         effects_section(result),
-        *headline.numbering_sections(result),
+        headline.numbering_section(result),
         candidates_section(result),
         *effect_sections(result),
         before_after(result),
@@ -47,7 +47,7 @@ def _closure(result: LoopResult) -> blocks.Document:
 
 def verdict_section(result: LoopResult) -> blocks.Section:
     """State the meaning of the verdict, its assumptions, and the data that decided it."""
-    verdict = headline.verdict_of(result)
+    verdict = VERDICTS[result.verdict]
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
     noise, *granted = result.rests_on
     said = [meaning, f"It rests on {noise}.", headline.evidence_in_words(result)]
@@ -183,7 +183,7 @@ def _alike(one: Floats, other: Floats) -> Bools:
 def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
     """Tabulate the frame averaged over all sets."""
     title = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
-    tables = identified.narrow(identified.frame_table(result.averaged, title, units))
+    tables = identified.frame_table(result.averaged, title, units).folded(2 * blocks.PAGE_COLUMNS // 3)
     return blocks.section("frame", "The identified frame", *tables, *identified.turning_words(result.frame))
 
 
@@ -194,7 +194,7 @@ def effects_section(result: LoopResult) -> blocks.Section:
     title = "The effect found" if len(result.effects) == 1 else "Effects found"
     caption = "Effects that were added to the shear model"
     parts: list[blocks.Block] = []
-    if headline.verdict_of(result).provisional:
+    if result.provisional:
         title, caption = "Provisional effects", "Effects that survive while a residual is left"
         among = "the probabilities are among causes that were tried, none of which explains the data"
         said = f"None of them counts as found, as long as a residual is left: {among}."
@@ -364,7 +364,7 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
             f"{test.standard_deviations:.1f} standard deviations"
             f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
         )
-    verdict = headline.verdict_of(result)
+    verdict = VERDICTS[result.verdict]
     if verdict.certain:
         nothing = f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
         return _besides(result) or nothing
@@ -396,7 +396,7 @@ def _besides(result: LoopResult) -> str:
     left = [
         item
         for item in result.candidates
-        if item.placed not in added and not item.confounded_with and item.probability > headline.DOUBT
+        if item.placed not in added and not item.confounded_with and item.probability > 1.0 - quantities.SURE
     ]
     if not left:
         return ""

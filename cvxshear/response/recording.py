@@ -19,8 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.modes import RecordTables
-from cvxshear.io.record_tables import ChannelDeclaration, placed
+from cvxshear.io.record_tables import ChannelDeclaration, RecordFile, placed
 from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
@@ -34,7 +33,7 @@ RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 #: Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights.
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
+    "dead channel", "stuck channel", "clipped channel", "direction", "sign", "unit",
     "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "resonance", "gain step",
 )  # fmt: skip
 
@@ -300,7 +299,7 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
 
 def _of_file(path: Path, stories: int) -> Recording:
     """Read the recording that a record file declares."""
-    tables = RecordTables(path)
+    tables = RecordFile(path)
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
         for item in tables.responses:
@@ -408,7 +407,7 @@ class SensorRecord:
         most = max(stories, *(each.floor for each in self.channels))
         record = TimeRecord(self.channels, stories=most, runs=runs, sampling_rate=self.sampling_rate, input=self.input)
         try:
-            findings = identify_modes(record, accept_swapped=True).findings
+            findings = identify_modes(record).findings
         except (NoSolutionError, InputError):
             # A motion without identifiable modes, such as a short one, is checked without modes.
             findings = examination.examined(record).findings
@@ -419,6 +418,7 @@ class SensorRecord:
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
         measured, said = [run.measured.copy() for run in self.runs], list(self.remarks)
         of_clocks: dict[int, str] = {}
+        channels = list(self.channels)
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
@@ -430,6 +430,9 @@ class SensorRecord:
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
+            elif finding.kind == "swapped channels" and numbers["corrected"]:
+                for column, other in itertools.permutations(columns):
+                    channels[column] = dataclasses.replace(self.channels[column], floor=self.channels[other].floor)
             elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
                 continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
@@ -449,7 +452,7 @@ class SensorRecord:
         right = self.replaced(((factors[:-1] * values)[:, kept] for values in measured), factors[-1])
         return dataclasses.replace(
             right,
-            channels=tuple(self.channels[column] for column in kept),
+            channels=tuple(channels[column] for column in kept),
             remarks=tuple(said),
             late=late[kept],
             late_remarks=tuple(of_clocks.get(column, of_clocks.get(-1, "")) for column in kept),

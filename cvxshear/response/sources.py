@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
-from cvxshear.io import modes, toml
+from cvxshear.io import modes, record_tables, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
 from cvxshear.records import Record
@@ -211,7 +211,7 @@ def motion_of(source: MotionSource) -> DrivenRecord:
         raise InputError(
             f"what drives a frame is a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
         )
-    return modes.read_motion(source)
+    return record_tables.read_motion(source)
 
 
 def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:

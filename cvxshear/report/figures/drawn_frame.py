@@ -22,7 +22,7 @@ from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning import Plan, predicted
 from cvxshear.report.figures import style
-from cvxshear.report.headline import NAMED, verdict_of
+from cvxshear.report.headline import NAMED
 from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, SURE, chance, counted, percent
 from cvxshear.util.typing import Floats
@@ -166,7 +166,7 @@ class _Mark:
 
 def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]:
     """Collect the marks for the drawing of a state; effects of all states are marked in the first drawing."""
-    sure = not verdict_of(result).provisional
+    sure = not result.provisional
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
     for item in result.effects:

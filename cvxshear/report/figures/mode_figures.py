@@ -415,7 +415,7 @@ FUNCTIONS = {
     ModalResult,
     title="Measured and synthesized functions",
     applies=lambda *results: all(result.functions is not None for result in results),
-    needs="the functions of the record (identify_modes: functions=True)",
+    needs="the functions of a record with a measured input (identify_modes: functions=True)",
 )
 def functions(*results: ModalResult) -> Figure:
     """Measured functions beside those that the identified modes make, floor by floor.
@@ -472,14 +472,10 @@ def functions(*results: ModalResult) -> Figure:
 def _against(seen: Functions, column: int) -> str:
     """Name the reference of a function; empty for the ground."""
     floor = int(seen.inputs[column])
-    if not seen.driven:
-        return f"\nwith floor {floor}"
     return f"\nforce at floor {floor}" if floor else ""
 
 
 def _named(seen: Functions) -> str:
-    if not seen.driven:
-        return "half-spectrum"
     if not seen.inputs[0]:
         return f"{seen.quantity} / base acceleration"
     return FUNCTIONS[seen.quantity]
