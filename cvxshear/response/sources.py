@@ -14,7 +14,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
 from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment, opened
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
@@ -146,10 +146,11 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
             found = source
         case LoopResult():
             found = models_of_loop(source)
+            opened(source.experiment)
         case Estimate():
             found = Models(None, Fitted.of(source))
         case Experiment():
-            found = models_of_loop(close_loop(source, assume=assume, backend=backend))
+            found = models_of_loop(close_loop(opened(source), assume=assume, backend=backend))
         case str() | Path():
             found = _of_file(source, backend, assume)
         case _:
@@ -165,7 +166,8 @@ def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Locate
     recorded = toml.is_record_file(source)
     experiment = modes.experiment_from_file(source) if recorded else load_unscaled(source)
     names = [each.name for each in experiment.configurations]
-    return models_of_loop(close_loop(experiment, assume=assume, backend=backend, weighed=names if recorded else ()))
+    weighed = names if recorded else ()
+    return models_of_loop(close_loop(opened(experiment), assume=assume, backend=backend, weighed=weighed))
 
 
 def load_unscaled(path: str | Path) -> Experiment:

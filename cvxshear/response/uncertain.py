@@ -302,10 +302,11 @@ def damping_of(
     UnsuitableError
         If only one ratio is known for Rayleigh damping.
     """
-    experiment = opened(experiment)
+    experiment = opened(experiment, turning=True)
     names = [each.name for each in experiment.configurations if each.damping_ratios is not None]
     if not names:
         return None
+    experiment = opened(experiment)
     name = names[0] if configuration is None else checks.choice(configuration, names, "configuration")
     state = next(each for each in experiment.configurations if each.name == name)
     fitted = estimate if isinstance(estimate, Fitted) else Fitted.of(estimate)
