@@ -380,9 +380,9 @@ def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
         softened[0].after, softened[-1].configuration, None, backends.get("auto")
     ), softened[-1].recording, free=True)  # fmt: skip
     wide = dataclasses.replace(fitted, covariance=4.0 * np.eye(len(fitted.p)))
-    directions = work.directions(wide)
-    assert any(further > 1 for _, _, further in directions.sides)
-    for there, back, _ in directions.sides:
+    directions, _ = work.directions(wide)
+    assert any(further > 1 for _, _, further in directions)
+    for there, back, _ in directions:
         assert min(there.modes.eigenvalues[0], back.modes.eigenvalues[0]) > 0
 
 
@@ -396,7 +396,7 @@ def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softene
     far, near = (
         np.abs(work.moved_by(sides, noise, recording.runs[0], smoothed))
         for share in (1.0, 1e-4)
-        for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance)).sides[:1]
+        for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance))[0][:1]
     )
     off = np.sqrt(np.mean((100.0 * near - far) ** 2, axis=0) / np.mean(far**2, axis=0))
     assert np.max(off) < 0.02
