@@ -251,7 +251,7 @@ class FrameMotion:
 
         With `detrend`, straight lines beside the motion of the fitted frame are removed from the record.
         Spikes are filled in as well. One more fit is enough: an error of a gap decreases by its share of the
-        information, and longer gaps are not filled in.
+        information, and longer gaps are not filled in. A sure delay of a sensor is removed and the fit repeated.
         """
         errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -265,12 +265,16 @@ class FrameMotion:
             shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
             work = dataclasses.replace(self, recording=without_lines(self.recording, shown))
             smoothed = work.smoothed(errors, fitted.p)
-        p = fitted.p.copy()
-        if np.any(fitted.delays[0]):
-            work = dataclasses.replace(work, recording=_on_time(work.recording, *fitted.delays))
-            p[errors.delays] = 0.0
-            smoothed = work.smoothed(errors, p)
-        if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
+        recording, late, known = work.recording, *np.zeros((2, len(self.recording.floors)))
+        for again in range(frame_fit.MOST_REFITS):
+            (more, std), p = fitted.delays, fitted.p.copy()
+            if not np.any(more) and (again or all(np.all(each.weights == 1.0) for each in smoothed)):
+                break
+            if np.any(more):
+                late, known = late + more, np.where(more, std, known)
+                work = dataclasses.replace(work, recording=_on_time(recording, late, known))
+                p[errors.delays] = 0.0
+                smoothed = work.smoothed(errors, p)
             errors = work.errors(smoothed)
             fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
@@ -387,7 +391,7 @@ def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
         f"the clock of the sensor of floor {floor} is {abs(own):.3g} ms {'late' if own > 0 else 'early'} "
         f"(std {off:.2g} ms): the record contradicts the frame and its other sensors otherwise; taken out"
         for floor, own, off in zip(record.floors, 1e3 * record.step * late, 1e3 * record.step * std, strict=True)
-        if own
+        if abs(own) > NORMAL_95 * off
     ]
     moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
     return dataclasses.replace(moved, remarks=(*record.remarks, *said))
