@@ -24,6 +24,7 @@ from cvxshear.response.innovations import Directions, PredictionErrors
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.varied_frame import DIFFERENCE
 from cvxshear.util.decorators import cached_property
+from cvxshear.util.errors import NoModesError
 from cvxshear.util.quantities import SURE
 from cvxshear.util.typing import Floats
 
@@ -291,9 +292,11 @@ def fit_frame(
         short = errors.shortened(PROBED_SAMPLES)
         p = _Posterior(short, informative(errors, prior, p), prior.widest).maximum(p, backend)[0].p
     along = informative(errors, prior, p)
-    # The first answer must be near the right one. Otherwise the fit would change the masses or their scale in place of
-    # a story, and rarely return, because base motion does not determine this scale.
-    answer = frame_prior.possible_answers(errors.linearised(p, along), prior, p)[0]
+    # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
+    # story, and rarely return, because base motion does not determine this scale.
+    likelihood = errors.linearised(p, along)
+    answer = frame_prior.possible_answers(likelihood, prior, p)[0]
+    p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
     for _ in range(MOST_REFITS):
         at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
         p, answers, before = at.p, frame_prior.possible_answers(at.likelihood, prior, at.p), answer
@@ -301,6 +304,18 @@ def fit_frame(
         if answer.prior == before.prior:
             break
     return _mixed(errors, prior, at, answers, converged)
+
+
+def _nearer(
+    errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
+) -> Floats:
+    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
+    nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    try:
+        errors.model(nearer)
+    except NoModesError:
+        return p
+    return nearer
 
 
 def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
