@@ -21,11 +21,12 @@ def _closure(result: LoopResult) -> blocks.Document:
     effort = f"Backend {result.backend}: {fits}, {programs}."
     modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
     averaged = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
+    frame = identified.frame_table(result.averaged, averaged, units).folded(2 * blocks.PAGE_COLUMNS // 3)
     sections = (
         verdict_section(result),
         limits_section(result),
         states_section(result, units),
-        blocks.section("frame", "The identified frame", identified.frame_table(result.averaged, averaged, units)),
+        blocks.section("frame", "The identified frame", *frame, *identified.turning_words(result.frame)),
         identified.other_frames_section(result, units),
         effects_section(result),
         headline.numbering_section(result),
@@ -40,10 +41,10 @@ def _closure(result: LoopResult) -> blocks.Document:
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
-    frame = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
+    data = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
     line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"
-    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes), line)
+    return blocks.Document(title, text, sections, (data, effects_table(result), errors_table(result), modes), line)
 
 
 def verdict_section(result: LoopResult) -> blocks.Section:
@@ -94,9 +95,17 @@ def sway_stiffness(state: State) -> StateValues:
 
 def moving_mass(state: State) -> StateValues:
     """Sum the mass that moves with each floor, kg, without the declared added mass."""
-    n = len(state.story_stiffness)
+    n = len(state.heights)
+    if state.experiment.frame.turns:
+        at = 3 * np.arange(n)
+        return state.system.M[at, at] - state.tested.added_mass, state.system.dM[:, at, at]
     rows, by_parameters = (each[..., :n, :n].sum(axis=-1) for each in (state.system.M, state.system.dM))
     return rows - state.tested.added_mass, by_parameters
+
+
+def _along(axis: int) -> Callable[[State], StateValues]:
+    """Take the stiffness of each story that turns in x (0) or y (1), N/m."""
+    return lambda state: (state.story_stiffness[axis::6], state.d_story_stiffness[:, axis::6])
 
 
 def states_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
@@ -105,8 +114,20 @@ def states_section(result: LoopResult, units: quantities.Units) -> blocks.Sectio
     The changes are those of the verdict's set, and the values they start from those of the averaged frame.
     """
     of_set, averaged = result.frame, result.averaged
-    stiffer, heavier = averaged.story_stiffness / of_set.story_stiffness, averaged.floor_mass / of_set.floor_mass
-    stories = _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness, stiffer)
+    heavier, stiffnesses = averaged.floor_mass / of_set.floor_mass, (averaged.story_stiffness, of_set.story_stiffness)
+    if result.experiment.frame.turns:
+        of_stories = {
+            f"stories-{axis}": (f"Stiffness of each story in {axis}", _along(at), np.divide(*entries))
+            for at, axis in enumerate("xy")
+            for entries in [[each[:, at, at] for each in stiffnesses]]
+        }
+    else:
+        of_stories = {"stories": ("Sway stiffness of each story", sway_stiffness, np.divide(*stiffnesses))}
+    stories = (
+        table
+        for key, (title, quantity, ratio) in of_stories.items()
+        for table in _by_state(result, key, title, quantity, units.of_stiffness, ratio)
+    )
     floors = _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass, heavier)
     return blocks.section("states", "Every story and floor, before and after", *stories, *floors)
 
@@ -141,7 +162,7 @@ def _by_state(
     (_, before), *_ = groups
     factor, unit = unit_of((ratio * before[0]).tolist())
     covariance = estimate.uncertainty.covariance()
-    columns = [blocks.places(len(before[0]), "story" if key == "stories" else "floor")]
+    columns = [blocks.places(len(before[0]), "floor" if key == "floors" else "story")]
     for names, after in groups:
         texts = quantities.significants((ratio * after[0] / factor).tolist(), 5)
         change = after[0] / before[0] - 1.0

@@ -147,8 +147,8 @@ def _screening(result: Screening) -> blocks.Document:
     findings = blocks.section("findings", "", *accepted, *parts)
     mistakes = sum(item.refuses for item in result.findings)
     numbers = {"mistake": mistakes, "doubt": len(result.findings) - mistakes, "remark": len(result.record)}
-    said = listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
-    return blocks.Document(result.name, f"{result.name}: {said}", (findings,))
+    summary = listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
+    return blocks.Document(result.name, f"{result.name}: {summary}", (findings,))
 
 
 def _finding(item: FileFinding) -> Iterator[blocks.Block]:

@@ -144,8 +144,9 @@ def response_peaks(result: RecordPrediction) -> Figure:
         )  # fmt: skip
         if name == "floor_acceleration" and measured:
             top = np.max([np.max(np.abs(each), axis=0) for each in measured], axis=0)
-            look = {"color": style.MEASURED, "marker": "o", "mfc": "white", "ls": "none"}
-            axes.plot(top, result.motion.floors, label="measured", **look)
+            axes.plot(
+                top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured"
+            )
         axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
@@ -297,6 +298,8 @@ def animations(*results: Any) -> Iterator[Json]:
 @animations.register
 def _swaying(result: LoopResult) -> Iterator[Json]:
     """Move the modes of the final model, each as the first test that measured it shows it."""
+    if result.experiment.frame.turns:
+        return
     found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
     yield _modes(
         found, drawn_frame.elevations(result.experiment)[0], "The modes of the final model, with measured frequencies."
