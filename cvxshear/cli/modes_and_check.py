@@ -95,7 +95,7 @@ def check(file: options.File, out: options.JsonOut = None, strict: bool = False)
     """
     from cvxshear.screening import Screening
 
-    experiment, tests = measured([file], accept_swapped=True)
+    experiment, tests = measured([file])
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused or (strict and found.doubtful):
@@ -106,9 +106,7 @@ def modes(
     records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=options.input_files)],
     output: options.TomlOut = None,
     method: str | None = None,
-    count: int | None = None,
     pick: str | None = None,
-    accept_swapped: bool = False,
     each_run: bool = False,
     jobs: int = 1,
     *,
@@ -128,12 +126,8 @@ def modes(
         Write a measurement file here, a configuration each.
     method
         era, subspace or ssi; default: the one that suits the record.
-    count
-        How many modes; default: the number of stories.
     pick : 3.68,11.1,...
         Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.
-    accept_swapped
-        Go on where two channels look swapped.
     each_run
         Identify each run by itself, such as each of several earthquakes.
     jobs
@@ -153,8 +147,6 @@ def modes(
             progress=advance,
             functions=bool(outputs.figure) or outputs.report is not None,
             method=method,
-            count=count,
-            accept_swapped=accept_swapped,
             pick=None if pick == options.LIST else numbers(pick, "--pick"),
         )
     errors = [error for error in found if isinstance(error, CvxshearError)]
@@ -179,7 +171,7 @@ def modes(
 
 
 def measured(
-    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
+    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None
 ) -> tuple[cvxshear.Experiment, list[IdentifiedRecord]]:
     """Read the experiment from a measurement file, or from record files and their identified modes.
 
@@ -199,7 +191,7 @@ def measured(
     for file in files:
         if not toml.is_record_file(file):
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
-    found = modes.identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
+    found = modes.identify_modes_many(files, jobs=jobs, progress=progress)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors[:-1])
     if errors:

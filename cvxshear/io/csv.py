@@ -27,9 +27,6 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-#: Fewest samples of a record.
-FEWEST_ROWS = 32
-
 
 @dataclass(frozen=True, eq=False)
 class Columns:
@@ -60,8 +57,6 @@ class Columns:
     arrays: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if len(self.values) < FEWEST_ROWS:
-            raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
         seen: set[str] = set()
         for name in self.names:
             if name in seen:

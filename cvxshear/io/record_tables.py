@@ -1,28 +1,53 @@
-"""The tables of a record file: channels, runs, and the samples of a run between gaps."""
+"""Record files: what they declare of a record and the frame, and the samples of the files that they name.
+
+A record file is a small TOML text that assigns columns of files to floors and declares the excitation. Its tables are
+`[record]` (kind, input, file, sampling rate, ...), one `[[channel]]` for each column used (column, floor, axis, sign,
+calibration) and, where there are several files, one `[[run]]` for each; docs/modal.md has them all.
+"""
+
+from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.formats import refuse_data
+from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns, refuse_data
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
-from cvxshear.records.record import RECORDED_QUANTITIES, Channel
+from cvxshear.records.motion import differentiated
+from cvxshear.records.record import (
+    INPUTS,
+    RECORDED_QUANTITIES,
+    Channel,
+    Finding,
+    FrfRecord,
+    FrfRun,
+    Record,
+    Run,
+    TimeRecord,
+)  # fmt: skip
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS, counted
 from cvxshear.util.typing import Bools, Floats
 
+RECORD_KEYS = (
+    "name", "kind", "input", "input_floor", "file", "sampling_rate", "time", "time_unit", "frequency", "axis",
+    "stories", "quantity", "band", "exponential_window", "truncated", "pick", "size_limit",
+)  # fmt: skip
+
+FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "unit", "position", "direction")
 RUN_KEYS = ("file", "name", "input_floor", "start", "end")
-PASSED_ON = ("frame", "prior", "added_mass", "state")
+TABLES = ("record", "channel", "run", "frame", "prior", "added_mass", "state")
 
 #: Longest step without a gap, as a multiple of the usual step. A longer step lost a sample, for any rounding.
 LONG_STEP = 1.75
@@ -47,23 +72,308 @@ class ChannelDeclaration(Channel):
     quantity: str = "acceleration"
 
     @property
+    def grounded(self) -> bool:
+        """Whether the channel measures the ground."""
+        return self.floor == 0 and self.quantity != "force"
+
+    @property
     def responds(self) -> bool:
         """Whether the channel measures a floor."""
         return self.floor > 0 and self.quantity != "force"
 
 
-def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
-    """Read the tables of a record file, and the line of each channel."""
-    refuse_data(path)
-    text = read_text(path)
-    declared = parse(text, path)
-    if "configuration" in declared and "record" not in declared:
-        raise InputError(
-            f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found already; "
-            f"'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
+class RecordFile:
+    """A record, and the declarations of its file about the frame; each key is checked separately.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    record : TimeRecord or FrfRecord
+        Of a file that `read_record` read.
+    notes : tuple of Finding
+        Samples that were left out.
+    declared : dict
+        The table `[record]`.
+    frame : dict
+        The table `[frame]`, for the measurement file.
+    priors : list of dict
+        The tables `[[prior]]`, for the measurement file.
+    pick : list of float or None
+        Hz; frequencies of the modes, chosen by hand.
+    files : tuple of Path
+        The record file and those it names.
+    kind : str
+        "time" or "frf".
+    input : str
+        One of `INPUTS`.
+    channels : list of ChannelDeclaration
+    runs : list of dict
+    name : str
+    turns : bool
+        Whether the floors turn (frame: motions).
+    added_mass : list of float or None
+        kg.
+    state : str or None
+
+    Raises
+    ------
+    InputError
+    """
+
+    record: Record
+    notes: tuple[Finding, ...] = ()
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        refuse_data(path)
+        text = read_text(path)
+        found = parse(text, path)
+        if "configuration" in found and "record" not in found:
+            raise InputError(
+                f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found "
+                f"already; 'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
+            )
+        table = checks.keys(found, TABLES, ["record", "channel"], str(path))
+        header = re.compile(r"^\s*\[\[\s*channel\s*\]\]")
+        lines = [number for number, line in enumerate(text.splitlines(), 1) if header.match(line)]
+        with placed(path):
+            self.frame, self.priors = table.get("frame", {}), table.get("prior", [])
+            in_tables = isinstance(self.priors, list) and all(isinstance(prior, Mapping) for prior in self.priors)
+            if not isinstance(self.frame, Mapping) or not in_tables:
+                raise InputError("frame must be a table [frame], prior a list of tables [[prior]]")
+            self.declared = declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
+            self.kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
+            for key in ("time", "frequency", "axis"):
+                if key in declared:
+                    checks.text(declared[key], f"record: {key}")
+            self.turns = self.frame.get("motions", ["x"]) != ["x"]
+            if self.turns and self.kind == "frf":
+                raise InputError("frame: motions: functions of floors that turn are not read; give time histories")
+            self.channels = channels_of(table["channel"], declared, path, lines, self.turns)
+            self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+            self.name = checks.text(declared.get("name", named_after(path)), "record: name")
+            self.runs = runs_of(table, declared)
+            state = table.get("state")
+            self.state = None if state is None else checks.text(state, "state")
+            added, pick = table.get("added_mass"), declared.get("pick")
+            self.added_mass = None if added is None else checks.vector(added, "added_mass", least=0.0).tolist()
+            self.pick = None if pick is None else checks.vector(pick, "record: pick", above=0.0).tolist()
+        self.files = (path, *(path.parent / run["file"] for run in self.runs))
+
+    @property
+    def driver(self) -> ChannelDeclaration | None:
+        """The channel of the excitation."""
+        if self.input not in ("base", "force"):
+            return None
+        force = self.input == "force"
+        found = [item for item in self.channels if (item.quantity == "force" if force else item.grounded)]
+        if len(found) != 1:
+            what = 'with quantity = "force"' if force else "on the ground (floor = 0)"
+            raise InputError(f'input = "{self.input}" needs one channel {what}, there are {len(found)}')
+        return found[0]
+
+    @property
+    def responses(self) -> list[ChannelDeclaration]:
+        """The channels on floors."""
+        driver = self.driver
+        return [item for item in self.channels if item is not driver and item.responds]
+
+    def columns(self, run: Mapping[str, Any]) -> Columns:
+        """Read the columns of a run's file."""
+        limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
+        found: Columns = read_columns(
+            self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
         )
-    keys = ["record", "channel", "run", *PASSED_ON]
-    return checks.keys(declared, keys, ["record", "channel"], str(path)), _lines_of(text, "channel")
+        return found
+
+    def floor(self, place: int, otherwise: int | None = None) -> int:
+        """Find the floor of the force of a run; runs are counted from 1."""
+        floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
+        if floor is None:
+            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+
+    def pieces(self, needed: Sequence[ChannelDeclaration]) -> tuple[list[Piece], float]:
+        """Read every uninterrupted stretch of every run, and the sampling rate, Hz.
+
+        Parameters
+        ----------
+        needed : sequence of ChannelDeclaration
+            Whose columns must hold numbers throughout.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read, or two were sampled at different rates.
+        """
+        driver, found, rates = self.driver, [], []
+        for place, run, star, columns in self._parts(needed):
+            name = " ".join(filter(None, (str(run.get("name", Path(run["file"]).name)), star)))
+            floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
+            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
+            rates.append((rate, columns.source))
+            if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
+                raise InputError(
+                    f"{columns.source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two "
+                    "sampling rates in one record; resample one of them"
+                )
+            for number, rows in enumerate(stretches, 1):
+                part = columns.rows(rows)
+                excitation, noise_from = None, None
+                if driver is not None:
+                    excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
+                    if driver.quantity in ("velocity", "displacement"):
+                        excitation, noise_from = differentiated(excitation, rate, driver.quantity)
+                called = name if len(stretches) == 1 else f"{name}, piece {number}"
+                whole = rows == slice(0, len(columns.values))
+                clock = None if whole else since_first(columns, self.declared)
+                span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
+                said = left_out if number == 1 else ""
+                found.append(Piece(name, called, part, excitation, floor, span, said, noise_from))
+        return found, rates[0][0]
+
+    def _parts(self, needed: Sequence[ChannelDeclaration]) -> Iterator[tuple[int, Mapping[str, Any], str, Columns]]:
+        """Read the file of every run; a `*` in the columns' names makes a run of each name that it can stand for."""
+        names = [name for name in (*(item.name for item in needed), self.declared.get("time", "")) if "*" in name]
+        for place, run in enumerate(self.runs, 1):
+            columns = self.columns(run)
+            if not names:
+                yield place, run, "", columns
+                continue
+            # scipy.io loads slowly.
+            arrays = import_module("cvxshear.io.arrays")
+            for star, part in arrays.parts_of(columns, names):
+                yield place, run, star, part
+
+    def _common(self) -> dict[str, Any]:
+        """Return the arguments of both kinds of records."""
+        declared = self.declared
+        return {
+            "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
+            "quantity": declared.get("quantity", "acceleration"),
+            "band": declared.get("band"),
+            "exponential_window": declared.get("exponential_window"),
+            "name": self.name,
+            "turns": self.turns,
+        }
+
+    def time_record(self) -> tuple[TimeRecord, list[Finding]]:
+        """Read time histories, with a note on each run of which samples are left out."""
+        driver, responses, notes = self.driver, self.responses, []
+        quantities = {item.quantity for item in responses}
+        if len(quantities) > 1:
+            raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
+        pieces, rate = self.pieces([*responses, *([] if driver is None else [driver])])
+        for piece in pieces:
+            if piece.left_out:
+                count = sum(each.run == piece.run for each in pieces)
+                notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
+        noise_from = min((piece.noise_from for piece in pieces if piece.noise_from is not None), default=None)
+        if noise_from is not None and driver is not None:
+            said = f"the ground was recorded as a {driver.quantity} and is differentiated up to {noise_from:.3g} Hz"
+            numbers = {"channel": driver.name, "quantity": driver.quantity, "noise_from": noise_from}
+            notes.append(
+                Finding("ground", f"{said}, where it is above its noise; higher modes are not excited", numbers)
+            )
+        if not responses:
+            raise InputError("no channel is on a floor above the ground")
+        runs = []
+        for each in pieces:
+            table = [item.factor * each.columns.column(item.name, item.place or self.path.name) for item in responses]
+            runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
+        common = {**self._common(), **({"quantity": quantities.pop()} if quantities else {})}
+        record = TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input)
+        return record, notes
+
+    def frf_record(self) -> FrfRecord:
+        """Read frequency response functions."""
+        declared, channels = self.declared, self.channels
+        if declared.get("input", "force") != "force":
+            raise InputError('record: frequency response functions have input = "force"')
+        made, axes = [], []
+        for place, run in enumerate(self.runs, 1):
+            columns = self.columns(run)
+            name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
+            if name is None:
+                raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
+            axes.append((columns.column(name, "record: frequency"), columns.source))
+            floor = self.floor(place)
+            responses = np.column_stack([_complex(columns, item, self.path) for item in channels])
+            made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
+        for axis, source in axes[1:]:
+            if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
+                raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
+        return FrfRecord(
+            tuple(channels), **self._common(), runs=tuple(made), frequencies=axes[0][0],
+            truncated=declared.get("truncated", True),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """An uninterrupted stretch of a run.
+
+    Parameters
+    ----------
+    run, name : str
+        Names of the run, and of the piece where it has several.
+    columns : Columns
+    excitation : ndarray, shape (samples,), or None
+        m/s2 or N.
+    floor : int
+        Floor of the force; 0 without a force.
+    span : tuple of (float or None, float or None)
+        Start and end in its file, s; None where the piece is all of it.
+    left_out : str
+        What of the run is in no piece, said by its first one.
+    noise_from : float, optional
+        Where the excitation was differentiated: the frequency above which it is noise, Hz.
+    """
+
+    run: str
+    name: str
+    columns: Columns
+    excitation: Floats | None
+    floor: int
+    span: tuple[float | None, float | None]
+    left_out: str
+    noise_from: float | None = None
+
+
+def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
+    asked = item.place or path.name
+    real, imaginary = f"{item.name}_re", f"{item.name}_im"
+    return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
+
+
+def read_record(path: str | Path) -> RecordFile:
+    """Read a record file and the files it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the TOML text; the files it names are looked for beside it.
+
+    Returns
+    -------
+    RecordFile
+
+    Raises
+    ------
+    InputError
+        The message names the file, the key or the channel with its line, and the expected input.
+    """
+    file = RecordFile(Path(path))
+    with placed(file.path):
+        if file.kind == "frf":
+            file.record = file.frf_record()
+        else:
+            file.record, notes = file.time_record()
+            file.notes = tuple(notes)
+    return file
 
 
 @contextmanager
@@ -152,27 +462,6 @@ def _run(item: object, where: str) -> Mapping[str, Any]:
     if run.get("start", 0.0) >= run.get("end", float("inf")):
         raise InputError(f"{where}: end = {run['end']:g} s must come after start = {run.get('start', 0.0):g} s")
     return run
-
-
-def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclaration | None:
-    """Find the channel that measures the input."""
-    ground = [item for item in channels if item.floor == 0 and item.quantity != "force"]
-    forces = [item for item in channels if item.quantity == "force"]
-    if kind == "base":
-        if len(ground) != 1:
-            raise InputError(f'input = "base" needs one channel on the ground (floor = 0), there are {len(ground)}')
-        return ground[0]
-    if kind == "force":
-        if len(forces) != 1:
-            raise InputError(f'input = "force" needs one channel with quantity = "force", there are {len(forces)}')
-        return forces[0]
-    return None
-
-
-def _lines_of(text: str, table: str) -> list[int]:
-    """Find the line of each `[[table]]` header."""
-    pattern = re.compile(rf"^\s*\[\[\s*{table}\s*\]\]")
-    return [number for number, line in enumerate(text.splitlines(), 1) if pattern.match(line)]
 
 
 def pieces_of(

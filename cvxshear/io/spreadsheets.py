@@ -12,11 +12,11 @@ Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,9 +35,6 @@ LONGEST_TITLE = 31
 
 #: Largest length of a cell, letters (Excel).
 LONGEST_CELL = 32_767
-
-#: Largest width of a column of a workbook, letters.
-WIDEST = 28
 
 #: Title that Excel reserves.
 RESERVED = "history"
@@ -115,12 +112,10 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     taken = {RESERVED}
     for sheet in sheets:
         page = book.create_sheet(_title(sheet.title, taken))
-        table = [tuple(map(_plain, row)) for row in (sheet.header, *sheet.rows)]
-        for row in table:
-            page.append(row)
-        for column, cells in enumerate(zip(*table, strict=False), 1):
-            width = max(len(str(cell)) for cell in cells)
-            page.column_dimensions[page.cell(1, column).column_letter].width = min(width, WIDEST) + 2
+        for row in (sheet.header, *sheet.rows):
+            page.append(tuple(map(_plain, row)))
+        for cell in next(page.rows, ()):
+            page.column_dimensions[cell.column_letter].width = len(str(cell.value)) + 2
         page.freeze_panes = "A2"
     content = io.BytesIO()
     book.save(content)
@@ -263,18 +258,30 @@ def _modes_of(rows: Rows, source: str) -> Json:
     if len(rows) < 2:
         raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
     header = [str(cell or "") for cell in rows[0][1]]
-    places, entries, stds, scaled = _columns(header, source)
-    floors = sorted(entries)
+    found = _places(
+        header, source, _mode_key, "a table of modes: mode, frequency, frequency std, damping, floor 1, ..."
+    )
+    places = {key: place for (key, floor, _), place in found.items() if floor == 0}
+    entries, stds = (
+        {floor: place for (key, floor, _), place in found.items() if key == what} for what in ("entry", "std")
+    )
+    units = {(key, unit) for key, floor, unit in found if floor}
+    if "frequencies" not in places or not entries:
+        raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
+    if len(units) > len({key for key, _ in units}):
+        raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
     values = np.array([_numbers(row, number, header, source) for number, row in rows[1:]])
+    floors = sorted(entries)
     shapes = values[:, [entries[floor] for floor in floors]]
     result: Json = {"measured_floors": floors, "mode_shapes": shapes.tolist()}
-    if scaled["entry"]:
+    if ("entry", True) in units:
         result["mass_normalized"] = True
     if stds:
         lacking = sorted(set(entries) - set(stds))
         if lacking:
             raise InputError(f"{source} has no std for floor {lacking[0]}, and one for others; give each one, or none")
-        largest = np.nanmax(np.abs(shapes), axis=1, keepdims=True) if scaled["std"] else 1.0
+        # Deviations without a unit are relative to the mode's largest entry.
+        largest = np.nanmax(np.abs(shapes), axis=1, keepdims=True) if ("std", True) in units else 1.0
         result["mode_shape_std"] = (values[:, [stds[floor] for floor in floors]] / largest).tolist()
     for key, place in places.items():
         column = values[:, place]
@@ -288,40 +295,30 @@ def _modes_of(rows: Rows, source: str) -> Json:
     return result
 
 
-def _columns(
-    header: Sequence[str], source: str
-) -> tuple[dict[str, int], dict[int, int], dict[int, int], dict[str, bool]]:
-    """Find the places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
+Key = TypeVar("Key")
 
-    The last result says whether the entries and their deviations have the unit 1/sqrt(kg). Deviations without a unit
-    are relative to the mode's largest entry.
-    """
-    keys: dict[str, int] = {}
-    entries: dict[int, int] = {}
-    stds: dict[int, int] = {}
-    units: dict[str, set[bool]] = {"entry": set(), "std": set()}
+
+def _places(header: Sequence[str], source: str, key_of: Callable[[str], Key | None], known: str) -> dict[Key, int]:
+    """Find the place of each column by the key of its name, in lower case without punctuation."""
+    places: dict[Key, int] = {}
     for place, name in enumerate(header):
-        plain = " ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split())
-        floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", plain)
-        several: dict[Any, int] = keys if floor is None else stds if floor[2] else entries
-        key = COLUMNS.get(plain) if floor is None else int(floor[1])
+        key = key_of(" ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split()))
         if key is None:
-            # Do not quote a file that is not a table of modes: the user may have named the wrong file.
-            shown = f'column "{name[:60]}"' if keys or entries else f"column {place + 1}"
-            raise InputError(
-                f"{source}: {shown} is not one of a table of modes: mode, frequency, frequency std, damping, "
-                "floor 1, floor 1 std, floor 2, ..."
-            )
-        if key in several:
+            # Do not quote a file of another kind: the user may have named the wrong file.
+            shown = f'column "{name[:60]}"' if places else f"column {place + 1}"
+            raise InputError(f"{source}: {shown} is not one of {known}")
+        if key in places:
             raise InputError(f'{source}: the column "{name}" is there twice')
-        several[key] = place
-        if floor is not None:
-            units["std" if floor[2] else "entry"].add(floor[3] is not None)
-    if "frequencies" not in keys or not entries:
-        raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
-    if any(len(each) > 1 for each in units.values()):
-        raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
-    return keys, entries, stds, {what: True in each for what, each in units.items()}
+        places[key] = place
+    return places
+
+
+def _mode_key(name: str) -> tuple[str, int, bool] | None:
+    """Return the key of a configuration, or "entry" or "std" with the floor and whether the unit is 1/sqrt(kg)."""
+    floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", name)
+    if floor is not None:
+        return "std" if floor[2] else "entry", int(floor[1]), floor[3] is not None
+    return (COLUMNS[name], 0, False) if name in COLUMNS else None
 
 
 def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str) -> list[float]:
@@ -343,6 +340,14 @@ def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str)
 
 #: Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor.
 REPEATED = re.compile(r"(?:(?:frequency|f) ?(\d+)(?: hz)?|shape ?(\d+) (\d+))")
+
+
+def _test_key(name: str) -> tuple[int, int] | None:
+    """Return the mode, with the floor of a shape's entry or 0 for a frequency; (0, 0) for the block."""
+    found = REPEATED.fullmatch(name)
+    if found is None:
+        return (0, 0) if name == "block" else None
+    return (int(found[1]), 0) if found[1] else (int(found[2]), int(found[3]))
 
 
 def read_repeats(path: str | Path) -> Json:
@@ -367,22 +372,13 @@ def read_repeats(path: str | Path) -> Json:
     table = read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)
     rows: Rows = [(number, [cell.strip() for cell in cells]) for number, cells in table]
     header = [str(cell) for cell in rows[0][1]] if rows else []
-    plain = [" ".join(re.sub(r"[^a-z0-9]+", " ", name.lower()).split()) for name in header]
-    places: dict[tuple[int, int], int] = {}
-    for place, name in enumerate(plain):
-        found = REPEATED.fullmatch(name)
-        if found is None and name != "block":
-            shown = f'column "{header[place][:60]}"' if places else f"column {place + 1}"
-            raise InputError(f'{source}: {shown} is none of "frequency 1", "frequency 2", ..., "shape 1 3", "block"')
-        if found is not None:
-            key = (int(found[1]), 0) if found[1] else (int(found[2]), int(found[3]))
-            if key in places:
-                raise InputError(f'{source}: the column "{header[place]}" is there twice')
-            places[key] = place
+    places = _places(
+        header, source, _test_key, 'repeated tests: "frequency 1", ..., "shape 1 3" (mode, floor), "block"'
+    )
+    at_block = places.pop((0, 0), None)
     modes, floors = (sorted({key[at] for key in places if bool(key[1]) == bool(at)}) for at in (0, 1))
     if not modes or any(mode not in modes for mode, _ in places):
         raise InputError(f'{source} needs a column "frequency 1", "frequency 2", ... for each mode')
-    at_block = plain.index("block") if "block" in plain else None
     blank = [[None if place == at_block else cell for place, cell in enumerate(row)] for _, row in rows[1:]]
     values = np.array([_numbers(row, rows[at][0], header, source) for at, row in enumerate(blank, 1)])
     values = np.column_stack([values.reshape(len(blank), len(header)), np.full(len(blank), np.nan)])

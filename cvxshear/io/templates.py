@@ -18,7 +18,7 @@ import tomli_w
 
 from cvxshear.io.csv import Columns, preamble_of
 from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
-from cvxshear.io.modes import FREQUENCY_NAMES
+from cvxshear.io.record_tables import FREQUENCY_NAMES
 from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES

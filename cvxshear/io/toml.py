@@ -209,7 +209,6 @@ def _resolved(table: object, place: int, folder: Path) -> object:
     return {**readers[key](file), **{name: value for name, value in table.items() if name != key}}
 
 
-COMMENT_WIDTH = 110
 #: Significant digits of written numbers; no record has more.
 WRITTEN_DIGITS = 8
 
@@ -238,8 +237,9 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
         # A line break in a comment must not end it.
         f"# {line}\n"
         for comment in comments
-        for line in textwrap.wrap(printable(" ".join(comment.split())), COMMENT_WIDTH, subsequent_indent="  ",
-                                  break_long_words=False, break_on_hyphens=False)
+        for line in textwrap.wrap(
+            printable(" ".join(comment.split())), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
     ]  # fmt: skip
     # A row of a shape is a line of the file.
     text = _NUMBERS.sub(

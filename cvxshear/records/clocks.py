@@ -20,7 +20,7 @@ from operator import itemgetter
 import numpy as np
 from scipy import special
 
-from cvxshear.records.prepare import in_step, struck, without
+from cvxshear.records.prepare import SEGMENT, in_step, struck, without
 from cvxshear.records.record import Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.decorators import cached_property
@@ -44,8 +44,6 @@ FASTEST_DRIFT = 1e-3
 #: Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
 #: lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure.
 PHASES = 50
-#: s; long beside the longest delay, short enough that a record has many.
-SEGMENT = 20.0
 #: Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself.
 CLOCK_PARTS = 8
 #: Times the tenth of a channel's lines that hold least: below it a line counts little.
@@ -372,7 +370,7 @@ class ChannelFault:
     size, std : float, optional
         Seconds of a delay, or by which it changes; seconds a second; a low-pass's corner or a resonance, Hz; a step's
         factor.
-    time : float, optional
+    time : float or None, optional
         When it changes, s.
     late : (float, float), optional
         What is to be taken out: seconds at the start of the record, and more in each second after. Where it is missing,
@@ -384,7 +382,7 @@ class ChannelFault:
     evidence: float
     size: float = 0.0
     std: float = 0.0
-    time: float = 0.0
+    time: float | None = None
     late: tuple[float, float] | None = None
 
 
@@ -429,38 +427,32 @@ def with_right_channels(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         fault, clock = faults[worst], others[worst]
         if fault.probability < quantities.SURE:
             break
-        if fault.late is None:
-            where = record.channels[clock] if clock < len(names) else "the input channel"
-            findings.append(_left_out(fault, clocks[clock], str(where), record.sampling_rate))
-            out.append(clock)
-            continue
-        wrong[clock] = fault.late
-        segments = segments.earlier(clock, *fault.late)
         against = reference if clock != reference else max(
             (k for k in left if k != clock), key=lambda k: float(common[k])
         )  # fmt: skip
-        findings.append(_corrected(fault, clocks[clock], clocks[against]))
+        where = str(record.channels[clock]) if clock < len(names) else "the input channel"
+        findings.append(_said(fault, clocks[clock], where, clocks[against], record.sampling_rate))
+        if fault.late is None:
+            out.append(clock)
+        else:
+            wrong[clock] = fault.late
+            segments = segments.earlier(clock, *fault.late)
     record = without(record, findings)
     return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
-def _left_out(fault: ChannelFault, name: str, where: str, rate: float) -> Finding:
-    """Report a channel that cannot be mended; the input stays."""
-    numbers = {"channel": name, "out": name != "input", "probability": fault.probability}
-    words = {"where": where, "time": fault.time, "left_out": "; left out" if numbers["out"] else ""}
-    if fault.kind == "low-pass":
-        return finding("low-pass", {**numbers, "corner": fault.size}, **words)
-    if fault.kind == "resonance":
-        return finding("resonance", {**numbers, "corner": fault.size}, **words)
-    if fault.kind == "gain step":
-        return finding("gain step", {**numbers, "factor": fault.size, "time": fault.time}, **words)
-    what = "loses" if fault.size < 0 else "repeats"
-    return finding("lost samples", {**numbers, "samples": round(abs(fault.size) * rate)}, what=what, **words)
+#: What the size of a fault that cannot be mended is called.
+FAULT_SIZES = {"low-pass": "corner", "resonance": "corner", "gain step": "factor", "lost samples": "samples"}
 
 
-def _corrected(fault: ChannelFault, name: str, reference: str) -> Finding:
-    """Report a clock that was late, early or drifted, by the phases of the whole band, and has been set right."""
-    start = 0.0 if fault.late is None else fault.late[0]
+def _said(fault: ChannelFault, name: str, where: str, reference: str, rate: float) -> Finding:
+    """Report a fault by the phases of the whole band: its channel, but not the input, is left out, or set right."""
+    if fault.late is None:
+        numbers = {"channel": name, "out": name != "input", "probability": fault.probability, "time": fault.time}
+        numbers[FAULT_SIZES[fault.kind]] = round(abs(fault.size) * rate) if fault.kind == "lost samples" else fault.size
+        what, left_out = "loses" if fault.size < 0 else "repeats", "; left out" if numbers["out"] else ""
+        return finding(fault.kind, numbers, where=where, what=what, left_out=left_out)
+    start = fault.late[0]
     numbers = {"channel": name, "reference": reference, "seconds": start, "corrected": True}
     late = "late" if start > 0 else "early"
     if fault.kind == "clock drift":
@@ -513,15 +505,12 @@ class Offsets:
         channels in order of floor, then the input where its clock is seen.
     unexplained : array, shape (clocks,)
         Root mean square angle to the clock that the offsets count from, degrees, that the offset leaves over the modes.
-    before : array, shape (clocks,)
-        The same angle without the offset.
     reference : int
         The clock that the offsets count from.
     """
 
     seconds: Floats
     unexplained: Floats
-    before: Floats
     reference: int
 
 
@@ -575,9 +564,8 @@ def offsets(
         reference = ranking.first_largest(-np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1))
     seconds = seconds - seconds[reference]
     between = phasors * np.conj(phasors[:, [reference]])
-    before = [rms_phase(column) for column in between.T]
     left = [rms_phase(column * np.exp(1j * omega * each)) for column, each in zip(between.T, seconds, strict=True)]
-    return Offsets(seconds, np.array(left), np.array(before), reference)
+    return Offsets(seconds, np.array(left), reference)
 
 
 def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:

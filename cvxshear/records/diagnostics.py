@@ -1,12 +1,13 @@
-"""Findings about a record from its modes: clocks, signs, swaps, resolution, reciprocity, amplitude."""
+"""Findings about a record from its modes: clocks, driving points, reciprocity, amplitude, missing and other modes."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+import scipy
 
 from cvxshear.records import clocks, estimate, examination, frf, picking
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
+from cvxshear.records.record import Finding, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
@@ -73,38 +74,23 @@ OTHER = (
     "{}: torsion, another axis, a local mode, a load that moves on its mounting, a split mode, a multiple of a louder "
     "frequency, or {}"
 )
-#: Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
-#: its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories.
-ALIKE = 0.8
-#: Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
-#: 2015).
-FEWEST_PERIODS = 500
 
 
 def modal_findings(
-    record: Record,
     result: ModalResult,
     setting: estimate.Replication,
     full: estimate.Details,
     lost: int,
-    *,
-    wanted: int,
     turning: Callable[[float], float] | None = None,
 ) -> Iterator[Finding]:
-    """Everything the modes say about the record they came from.
-
-    `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
-    """
+    """Everything the modes say about the record they came from; `turning` is the share of rotation at a frequency."""
+    record = setting.record
     yield from clock_findings(record, result, full)
-    yield from resolution_findings(record, result)
     yield from reciprocity_findings(full, setting)
-    yield from hit_findings(record, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
-    if result.modes[0] == 1 and result.damping_ratios[0] < UNDAMPED:
-        numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
-        yield finding("doubtful mode", numbers)
-    yield from _mode_findings(record, result, setting, wanted)
+    yield from _first_mode_findings(record, result)
+    yield from _mode_findings(record, result, setting)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
         if share > examination.ROTATES:
@@ -118,13 +104,10 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
 
     Dampers turn the phases of modes, too. The phases of the whole band must agree better with the delay than without.
     """
-    highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
     segments = clocks.Segments.of(record) if isinstance(record, TimeRecord) else None
-    for (name, (late, std)), left, before in zip(
-        result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
-    ):
-        turn = float(np.degrees(highest * abs(late)))
+    for (name, (late, std)), left in zip(result.clock_offsets.items(), full.clocks.unexplained, strict=False):
+        turn = float(360.0 * full.frequencies.max() * abs(late))
         if len(full.frequencies) < 2 or turn < LEAST_TURN or std <= 0.0:
             continue
         # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
@@ -147,30 +130,12 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
                 numbers = {"channel": name, "corner": corner, "probability": probability, "out": True}
                 yield finding("low-pass/modes", numbers, where=record.channels[place])
                 continue
-        degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
-            "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
+            "clock offset/modes", {"channel": name, "seconds": late, "std": std, "left_degrees": left}, by=abs(late),
             late="late" if late > 0 else "early", spread=quantities.significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
             which="" if len(names) > 2 else "; which of the two is off no third clock tells",
         )  # fmt: skip
-
-
-def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
-    """Report a record too short for the damping, or the ambient statistics, that are claimed of it."""
-    if isinstance(record, FrfRecord):
-        resolution = record.step
-    else:
-        resolution = record.sampling_rate / max(run.samples for run in record.runs)
-    for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
-        width = 2 * damping * frequency
-        if resolution > width:
-            yield finding("resolution", {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)})
-    if not isinstance(record, FrfRecord) and record.input == "none":
-        periods = record.duration * float(result.frequencies[0])
-        if periods < FEWEST_PERIODS:
-            numbers = {"periods": periods, "duration": record.duration}
-            yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
 
 
 #: Damping ratio; the least that frames without cladding have. A machine's tone has less.
@@ -181,7 +146,7 @@ def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) 
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
     if full.products is None or not setting.driving_point:
         return
-    places = {int(floor): place for place, floor in enumerate(setting.floors)}
+    places = {int(floor): place for place, floor in enumerate(setting.record.floors)}
     driven = {int(floor): column for column, floor in enumerate(full.driven)}
     for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
         up = full.products[:, places[high], driven[low]]
@@ -198,25 +163,6 @@ def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) 
             yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 
 
-def hit_findings(record: Record, setting: estimate.Replication) -> Iterator[Finding]:
-    """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
-    source = setting.source
-    if isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
-        return
-    for floor in source.floors.tolist():
-        places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
-        answers = [source.spectra[place].response_force.ravel() for place in places]
-        units = np.array([each / np.linalg.norm(each) for each in answers])
-        # Of hits that are alike most have most others beside them.
-        alike = (units @ units.conj().T).real > ALIKE
-        others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
-        if others.size:
-            runs = [record.runs[places[place]].name for place in others]
-            yield finding(
-                "hit", {"floor": floor, "runs": runs}, names=quantities.listed([f'"{name}"' for name in runs])
-            )
-
-
 def driving_point_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:
     """Report declared driving points with negative residues of a mode: the force acted elsewhere.
 
@@ -226,11 +172,12 @@ def driving_point_findings(full: estimate.Details, setting: estimate.Replication
     """
     if full.products is None or not setting.driving_point or full.scales is not None:
         return
+    floors = setting.record.floors.tolist()
     for column, floor in enumerate(full.driven.tolist()):
         # phi of the floor that was hit, up to a positive factor in each mode.
         there = np.einsum("ri,ri->r", full.products[:, :, column].real, full.real) / np.sum(full.real**2, axis=1)
-        right = [at for place, at in enumerate(setting.floors.tolist()) if np.all(there * full.real[:, place] > 0)]
-        if floor in right or floor not in setting.floors:
+        right = [at for place, at in enumerate(floors) if np.all(there * full.real[:, place] > 0)]
+        if floor in right or floor not in floors:
             continue
         if right:
             said = f"as if the force acted at floor {quantities.listed([str(at) for at in right])}"
@@ -243,13 +190,25 @@ def driving_point_findings(full: estimate.Details, setting: estimate.Replication
         yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)
 
 
-def _mode_findings(
-    record: Record, result: ModalResult, setting: estimate.Replication, wanted: int
-) -> Iterator[Finding]:
+def _first_mode_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
+    """Doubt a mode 1 with almost no damping, or above nearly all of the measured input."""
+    lowest, damping = float(result.frequencies[0]), float(result.damping_ratios[0])
+    if result.modes[0] != 1:
+        return
+    if damping < UNDAMPED:
+        yield finding("doubtful mode", {"mode": 1, "frequency": lowest, "damping": damping})
+    if isinstance(record, TimeRecord) and record.input in ("base", "force"):
+        inputs = [run.excitation for run in record.runs if run.excitation is not None]
+        spectra = [scipy.signal.periodogram(each, record.sampling_rate) for each in inputs]
+        above, whole = (sum(power[lines >= least].sum() for lines, power in spectra) for least in (lowest, 0.0))
+        if above < frf.WEAKEST_FORCE * whole:
+            yield finding("doubtful mode/input", {"mode": 1, "frequency": lowest, "excited": float(above / whole)})
+
+
+def _mode_findings(record: Record, result: ModalResult, setting: estimate.Replication) -> Iterator[Finding]:
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1 and not record.turns
-    # Fewer than there are, by a count or picked by hand, and all of them found.
-    asked = len(sweep.chosen) == wanted < record.most_modes
+    asked = 0 < len(sweep.choose.picked) < record.most_modes
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
         yield finding(
@@ -313,20 +272,20 @@ def amplitude_findings(setting: estimate.Replication, result: ModalResult) -> It
     ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
     for place in np.flatnonzero((likely[1] > likely[0]) & (np.abs(changes) > least)).tolist():
         numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
-        frequencies = np.exp([first[place], second[place]])
+        frequencies = np.exp([first[place], second[place]]) / (2 * np.pi)
         numbers |= {"amplitude_ratio": ratio}
         yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
 
 
 def _half(setting: estimate.Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
-    """Log frequencies of half of the blocks, their standard deviations and degrees of freedom; None if not found."""
+    """Logarithms of angular frequencies of half of the blocks, with std and degrees of freedom; None if not found."""
     blocks = np.flatnonzero(half)
 
     def replicate(keep: Bools) -> Floats | None:
         left = np.zeros(len(half), dtype=bool)
         left[blocks[keep]] = True
         values = setting.values(left)
-        return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
+        return None if values is None else np.log(np.abs(values.eigenvalues + setting.record.window_decay))
 
     whole = replicate(np.ones(len(blocks), dtype=bool))
     if whole is None:

@@ -1,8 +1,7 @@
 """Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy import special
@@ -10,7 +9,7 @@ from scipy.optimize import nnls
 
 from cvxshear.measurement.configuration import Sensor
 from cvxshear.records import frf, picking, pole_sweep
-from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
+from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
 from cvxshear.util import ranking
@@ -69,37 +68,31 @@ SURROGATES = 20
 FEW_PIECES = 6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Replication:
     """Common data of the replicates of one identification.
 
     Parameters
     ----------
+    record : TimeRecord or FrfRecord
     parts : Parts
         The source of the data and the poles of its parts.
     sweep : Sweep
-    floors : array of int, shape (n,)
-    quantity : str
-    shift : float
-        Decay that an exponential window added, 1/s.
-    base : bool
-        Whether the input is a base acceleration.
-    turns : bool
-        Whether the floors turn.
     """
 
+    record: Record
     parts: picking.Parts
     sweep: picking.Sweep
-    floors: Ints
-    quantity: str
-    shift: float
-    base: bool
-    turns: bool
+
+    @property
+    def base(self) -> bool:
+        """Whether the input is a base acceleration."""
+        return not isinstance(self.record, FrfRecord) and self.record.input == "base"
 
     @property
     def driving_point(self) -> bool:
         """Whether the sensor of a floor shows the motion where the force acts."""
-        return not (self.base or self.turns)
+        return not (self.base or self.record.turns)
 
     @property
     def source(self) -> pole_sweep.Source:
@@ -117,7 +110,7 @@ class Replication:
         return self.parts.values(self.sweep.chosen, keep)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Details(pole_sweep.DampedModes):
     """The modes of one set of data.
 
@@ -160,10 +153,10 @@ def details(
     turned = None if products is None else frf.participations(products, values.shapes)
     right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
     late = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
-    if setting.turns:
+    if setting.record.turns:
         # Modes in x alone and in y alone link no clocks; the whole band has set them right before.
         none = 0.0 * late.seconds
-        late = Offsets(none, none, none, late.reference)
+        late = Offsets(none, none, late.reference)
     straight = undone(values.eigenvalues, values.shapes, late.seconds)
     shapes = np.array([picking.main_axis(shape) for shape in straight])
     real = np.array([picking.real_shape(shape) for shape in straight])
@@ -172,12 +165,12 @@ def details(
     scales = None
     if products is not None and setting.driving_point:
         found = [
-            frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.floors, driven)
+            frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.record.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
         ]
         known = [scale for scale in found if scale is not None]
         scales = np.array(known) if len(known) == len(found) else None
-    return Details(values.eigenvalues + setting.shift, shapes, real, scales, late, products, driven)
+    return Details(values.eigenvalues + setting.record.window_decay, shapes, real, scales, late, products, driven)
 
 
 def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> Complexes:
@@ -190,11 +183,11 @@ def _products(setting: Replication, values: picking.Values, keep: Bools | None) 
     found = setting.source.residues(values.eigenvalues, keep)
     if found is None:
         return None, np.zeros(0, dtype=np.int64)
-    rate = setting.source.sampling_rate
-    return frf.modal_products(found[0], values.eigenvalues, rate, setting.quantity, base=setting.base), found[1]
+    rate, quantity = setting.source.sampling_rate, setting.record.quantity
+    return frf.modal_products(found[0], values.eigenvalues, rate, quantity, base=setting.base), found[1]
 
 
-def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
+def covariance(setting: Replication, full: Details) -> tuple[Floats, str, int]:
     """Covariance of `full.vector()`, how it was got in words, and how many pieces had to be passed over."""
     groups = setting.source.groups
 
@@ -211,13 +204,13 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
         result, freedom, lost = jackknife(replicate, groups, setting.source.weights)
         how = f"jackknife over {len(groups)} {setting.source.unit}s"
         if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
-            result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
+            result, how = _widened(result, disturbed(setting, full)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
             factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
             result = result * np.outer(factor, factor)
         return result, how, lost
-    return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
+    return disturbed(setting, full), f"{SURROGATES} surrogates of the residual", 0
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:
@@ -231,7 +224,7 @@ def _widened(spread: Floats, other: Floats) -> Floats:
     return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
 
 
-def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
+def disturbed(setting: Replication, full: Details) -> Floats:
     """Covariance where nothing can be left out: the fit is disturbed by noise like its residual, and refitted.
 
     The residual of the impulse responses is taken for noise. Its spectra are kept and its phases are drawn at random,
@@ -240,9 +233,9 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     impulse = setting.source.impulse()
     if impulse is None:
         raise InputError("the record is too short to be cut into blocks")
-    fit = _fit(impulse, full.eigenvalues - setting.shift, setting.source.sampling_rate)
+    fit = _fit(impulse, full.eigenvalues - setting.record.window_decay, setting.source.sampling_rate)
     residual = impulse.sequence[impulse.start :] - fit
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     replicates = []
     for _ in range(SURROGATES):
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
@@ -269,55 +262,24 @@ def _fit(impulse: pole_sweep.Impulse, eigenvalues: Complexes, rate: float) -> Fl
 NOTICEABLE = 0.01
 
 
-def settle_truncation(record: Record, setting: Replication, values: picking.Values) -> list[Finding]:
-    """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
-
-    The products of a real mode's shape entries are real. The hypothesis with more nearly real products is chosen; each
-    mode has the weight of its residues' dependence on the hypothesis.
-    """
-    source = setting.source
-    if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
-        return []
-    length = source.samples / source.sampling_rate
-    left = np.abs(np.exp(values.eigenvalues * length))
-    if left.max() < NOTICEABLE:
-        return []
-    truncated, why = record.truncated, "as declared"
-    if truncated is None:
-        angles = {}
-        for wrapped in (False, True):
-            source.wrapped = wrapped
-            angles[wrapped] = _phase_off(setting, values, left)
-        source.wrapped = wrapped = angles[True] < angles[False]
-        truncated = not wrapped
-        why = (
-            f"told from the residues' phases, {angles[wrapped]:.1f} degrees from real where the other reading leaves "
-            f"{angles[not wrapped]:.1f}"
-        )
-    kind = "those of responses cut off there" if truncated else "samples of the true functions"
-    mode = ranking.first_largest(left) + 1
-    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
-    return [finding("leakage", numbers, kind=kind, why=why)]
+def leakage_findings(setting: Replication, full: Details) -> Iterator[Finding]:
+    """Report responses of a table of functions that had not decayed at the end of the window."""
+    source, record = setting.source, setting.record
+    if isinstance(record, FrfRecord) and isinstance(source, frf.FrfSource):
+        length = source.samples / source.sampling_rate
+        left = np.abs(np.exp((full.eigenvalues - record.window_decay) * length))
+        mode = ranking.first_largest(left) + 1
+        if left.max() >= NOTICEABLE:
+            numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": record.truncated}
+            kind = "those of responses cut off there" if record.truncated else "samples of the true functions"
+            yield finding("leakage", numbers, kind=kind, other=str(not record.truncated).lower())
 
 
-def _phase_off(setting: Replication, values: picking.Values, left: Floats) -> float:
-    """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
-    products = details(setting, values, None).products
-    if products is None:
-        return 0.0
-    weight = np.abs(products) ** 2
-    weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
-    return rms_phase(products, weight)
-
-
-def assembled(
-    record: Record, setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str
-) -> ModalResult:
+def assembled(setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str) -> ModalResult:
     """Assemble the result, without findings.
 
     Parameters
     ----------
-    record : TimeRecord or FrfRecord
     setting : Replication
     full : Details
         The modes of all the data.
@@ -331,7 +293,7 @@ def assembled(
     -------
     ModalResult
     """
-    modes, floors = full.real.shape
+    record, (modes, floors) = setting.record, full.real.shape
     std = np.sqrt(np.diag(covariance))
     entries = _entry_jacobian(full, len(covariance))
     joint = np.vstack([np.eye(modes, len(covariance)), entries])

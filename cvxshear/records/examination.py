@@ -15,7 +15,6 @@ import scipy
 
 from cvxshear.records import clocks, placement, prepare
 from cvxshear.records.data_frames import stretches
-from cvxshear.records.prepare import AnyRecord
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
@@ -28,17 +27,13 @@ ROTATES = 0.05
 #: Largest root of the sum of squares of the sensors' weights in the motion of the center. If the center is so far
 #: beyond the sensors that noise grows by half, their mean (0.7 for two) is taken.
 LARGEST_WEIGHTS = 1.5
-#: Two sensors on one floor contradict each other above this ratio of the mean squares of their difference and their
-#: mean. Only motion in common with the other floors counts, if there are any.
+#: Two sensors on one floor contradict each other above this ratio of their motions (5 m from the center of floors that
+#: turn it reached 1.9 in 56 simulated records; the least ratio of units is 9.8), or of the mean squares of their
+#: difference and their mean. Only motion in common with the other floors counts, if there are any.
 CONTRADICTING = 4.0
 
 
-#: Two sensors on one floor have different units above this ratio of their common motion with the other floors.
-#: Sensors 5 m from the center of floors that turn reached 1.9 in 56 simulated records; the least ratio of units is 9.8.
-SAME_SCALE = 4.0
-
-
-def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+def one_a_floor(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
     """Bring the record to one channel a floor, the motion of the floor's center in the direction of test.
 
     A sensor at `direction` degrees from the direction of test shows the floor's motion times the cosine; one more than
@@ -91,7 +86,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     if not groups:
         return None
     rate = record.sampling_rate
-    length = min(int(clocks.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+    length = min(int(prepare.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
     lines = np.fft.rfftfreq(length, 1 / rate)
     mean, differences = np.zeros(len(lines)), np.zeros(len(lines))
     for run in record.runs:
@@ -109,7 +104,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     return share
 
 
-def along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+def along(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
     """Turn sensors into the direction of test, and leave out those that stand across it."""
     angles = [channel.direction or 0.0 for channel in record.channels]
     if not any(angles):
@@ -133,8 +128,8 @@ def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
-    count = len(group)
-    whole, common = np.zeros((2, count, count))
+    count, center, turned = len(group), 0.0, 0.0
+    common = np.zeros((count, count))
     for run in record.runs:
         values = moving = run.responses[:, group]
         if isinstance(run, Run):
@@ -142,17 +137,16 @@ def _rotation(record: Record, group: Ints) -> Finding:
             if len(others):
                 rest = run.responses[:, others] - run.responses[:, others].mean(axis=0)
                 moving = rest @ np.linalg.lstsq(rest, values, rcond=None)[0]
-        whole += (values.conj().T @ values).real / len(values)
         common += (moving.conj().T @ moving).real / len(values)
+        middle = values @ weights
+        center += float(np.mean(np.abs(middle) ** 2))
+        turned += float(np.sum(np.abs(values - middle[:, None]) ** 2)) / len(values)
     shown, together = np.diag(common), float(common.mean())
-    # Mean squares of the sensors' differences from their mean, and from the center's motion.
     against = float(np.trace(common)) - count * together
-    center = float(weights @ whole @ weights)
-    turned = float(np.trace(whole) - 2 * np.sum(whole @ weights)) + count * center
     what = "what moves with the other floors is" if len(others) else "the motion is"
     least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
     ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
-    if ratio > SAME_SCALE:
+    if ratio > CONTRADICTING:
         raise InputError(
             f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
             f"first; is one of them in another unit (g is {quantities.STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
@@ -190,51 +184,36 @@ SPIKE_DEVIATIONS = 10.0
 OUT_OF_MOTION = 2.0
 #: Coefficients of the model for spikes: two for each mode of a dozen stories.
 AR_ORDER = 24
-#: Number of searches for spikes; each search finds one of several near spikes.
-SPIKE_PASSES = 8
 
 
-def channel_findings(record: Record) -> list[Finding]:
-    """Dead, stuck, clipped and held channels and spikes, each with its numbers."""
+def channels_mended(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
+    """Name dead, stuck and clipped channels and spikes; replace each spike by what the samples around it say."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
-        return _dead(record, levels)
+        return record, _dead(record, levels)
     levels = np.sqrt(np.mean([np.var(run.responses, axis=0) for run in record.runs], axis=0))
-    found = _dead(record, levels)
+    found, mended = _dead(record, levels), []
     for run in record.runs:
-        spikes = np.zeros(run.responses.shape, dtype=bool) if prepare.impulsive(run) else spikes_in(run.responses)[0]
-        for column, channel in enumerate(record.channels):
-            if levels[column] > DEAD * np.median(levels):
-                where = f"{run.name}: {channel}"
-                of_channel = [*_of_converter(run.responses[:, column], where, channel.name)]
-                of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
-                # The corners of clipped, held and stuck values would be taken for spikes.
-                if not of_channel and (count := int(spikes[:, column].sum())):
-                    numbers = {"channel": channel.name, "samples": count}
-                    first = int(np.argmax(spikes[:, column])) + 1
-                    said = finding(
-                        "spikes", numbers, where=where, spikes=quantities.counted(count, "spike"), first=first
-                    )
-                    of_channel.append(said)
-                found += of_channel
-        if run.excitation is not None:
-            found += _of_converter(run.excitation, f"{run.name}: input channel", "input")
-    return found
-
-
-def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
-    """Replace each spike by what the samples on both sides of it say."""
-    hit = {finding.numbers["channel"] for finding in findings if finding.kind == "spikes"}
-    columns = [column for column, channel in enumerate(record.channels) if channel.name in hit]
-    if not columns:
-        return record
-    runs = []
-    for run in record.runs:
-        responses = run.responses.copy()
+        responses, spikes = run.responses.copy(), np.zeros(run.responses.shape, dtype=bool)
+        cleaned = responses
         if not prepare.impulsive(run):
-            responses[:, columns] = spikes_in(run.responses)[1][:, columns]
-        runs.append(dataclasses.replace(run, responses=responses))
-    return dataclasses.replace(record, runs=tuple(runs))
+            spikes, cleaned = spikes_in(responses)
+        for column in np.flatnonzero(levels > DEAD * np.median(levels)).tolist():
+            channel = record.channels[column]
+            where = f"{run.name}: {channel}"
+            of_channel = [*_clipped(responses[:, column], where, channel.name)]
+            of_channel += _stuck(responses, column, where, channel.name, record.sampling_rate)
+            # The corners of clipped and stuck values would be taken for spikes.
+            if not of_channel and (count := int(spikes[:, column].sum())):
+                numbers, first = {"channel": channel.name, "samples": count}, int(np.argmax(spikes[:, column])) + 1
+                counted = quantities.counted(count, "spike")
+                of_channel.append(finding("spikes", numbers, where=where, spikes=counted, first=first))
+                responses[:, column] = cleaned[:, column]
+            found += of_channel
+        if run.excitation is not None:
+            found += _clipped(run.excitation, f"{run.name}: input channel", "input")
+        mended.append(responses)
+    return prepare.with_responses(record, mended), found
 
 
 def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
@@ -245,7 +224,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
     # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
-    for _ in range(SPIKE_PASSES):
+    while True:
         off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
@@ -263,11 +242,10 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
                 now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
         for place, hit in np.argwhere(now).tolist():
             now[place, hit] = not _begins(cleaned, place, hit)
-        if not now.any():
-            break
+        if not np.any(now & ~found):
+            return found, cleaned
         found |= now
         cleaned[now] -= off[now]
-    return found, cleaned
 
 
 def _begins(values: Floats, place: int, hit: int) -> bool:
@@ -344,8 +322,8 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
     return found
 
 
-def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
-    """Find samples cut off at the extreme value, and samples repeated at a fixed pace by a channel of a lower rate."""
+def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
+    """Find samples cut off at the extreme value."""
     levels, times = np.unique(values, return_counts=True)
     for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
         level, count = levels[extreme], int(times[extreme])
@@ -355,12 +333,6 @@ def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
             first = int(np.argmax(values == level)) + 1
             yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
             break
-    same = np.diff(values) == 0
-    for pace in (2, 3, 4, 5):
-        repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
-        if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
-            yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
-            return
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -397,12 +369,12 @@ def examined(record: Record) -> Examined:
     InputError
         Where no channel is left, or two on one floor contradict each other.
     """
-    findings = channel_findings(record)
+    record, findings = channels_mended(record)
     record = prepare.without(record, findings)
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))
-    steady, of_clocks = clocks.with_right_channels(without_spikes(record, findings))
+    steady, of_clocks = clocks.with_right_channels(record)
     findings += of_clocks
     if steady.turns:
         return Examined(steady, tuple(findings))

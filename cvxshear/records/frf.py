@@ -6,7 +6,6 @@ H1 = S_yf / S_ff is free of the response's noise, H2 = S_yy / S_fy of the force'
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -82,7 +81,7 @@ FEWEST_CROSSED = 3
 PULSE_OVER = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Spectra:
     """One run's contribution to the frequency response of its driving floor.
 

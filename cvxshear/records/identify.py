@@ -11,7 +11,7 @@ from cvxshear.records import diagnostics, estimate, picking, placement, pole_swe
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks, quantities
+from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 
@@ -30,50 +30,122 @@ LOWEST_SHARE = 0.1
 
 
 SourceAndSweep = tuple[pole_sweep.Source, picking.Sweep]
-Attempt = Callable[..., SourceAndSweep]
 
 
-def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> SourceAndSweep:
-    """Find the sampling rate that suits the modes, and source and sweep at it.
+@dataclasses.dataclass(frozen=True, eq=False)
+class ModeSearch:
+    """What is looked for in a record, and how.
 
     Parameters
     ----------
-    record : TimeRecord or FrfRecord
-    wanted : int
-        Number of modes that would be all.
-    attempt : callable
-        From a record to its source and sweep.
-    highest : float, optional
-        Hz that must stay in sight: the highest mode picked by hand.
-
-    Returns
-    -------
-    source : Source
-    sweep : Sweep
+    method : str
+        "era", "subspace" or "ssi".
+    blocks : int
+        Pieces of a continuous record for the jackknife.
+    criteria : Criteria
+    picked : tuple of float
+        Hz; the modes that are chosen by hand.
+    turning : callable or None
+        The share of rotation at a frequency, Hz.
     """
-    best = attempt(record)
-    if record.band is not None or _suits(best, wanted):
+
+    method: str
+    blocks: int
+    criteria: pole_sweep.Criteria
+    picked: tuple[float, ...]
+    turning: Callable[[float], float] | None
+
+    def wanted(self, record: Record) -> int:
+        """How many modes would be all."""
+        return len(self.picked) or record.most_modes
+
+    def tried(self, record: Record) -> SourceAndSweep:
+        """Bring a record into the method's form and sweep the orders."""
+        source = prepare.source_of(record, self.method, blocks=self.blocks)
+        by_signs = None if record.turns else len(record.channels) == record.stories > 1
+        choose = picking.ModeChoice(self.wanted(record), record.stories, by_signs, self.picked)
+        return source, picking.sweep_orders(
+            source, self.criteria, choose, band=record.band, shift=record.window_decay, turning=self.turning
+        )
+
+    def settled(self, record: Record) -> SourceAndSweep:
+        """Find the sampling rate that suits the modes, and source and sweep at it."""
+        best = self.tried(record)
+        if record.band is not None or self._suits(best, record):
+            return best
+        for factor in DECIMATION_FACTORS:
+            band = (0.0, record.sampling_rate / (2.5 * factor))
+            if band[1] < max(self.picked, default=0.0):
+                break
+            try:
+                trial = self.tried(dataclasses.replace(record, band=band))
+            except (InputError, NoSolutionError):
+                # The record is too short for a lower rate, or has no model there: keep the earlier result.
+                break
+            if len(trial[1].chosen) < len(best[1].chosen):
+                break
+            if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
+                best = trial
+            if self._suits(best, record):
+                break
         return best
-    for factor in DECIMATION_FACTORS:
-        band = (0.0, record.sampling_rate / (2.5 * factor))
-        if band[1] < highest:
-            break
-        try:
-            trial = attempt(dataclasses.replace(record, band=band))
-        except (InputError, NoSolutionError):
-            # The record is too short for a lower rate, or has no model there: keep the earlier result.
-            break
-        if len(trial[1].chosen) < len(best[1].chosen):
-            break
-        if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
-            best = trial
-        if _suits(best, wanted):
-            break
-    return best
 
+    def _suits(self, found: SourceAndSweep, record: Record) -> bool:
+        return len(found[1].chosen) == self.wanted(record) and not _too_low(found)
 
-def _suits(found: SourceAndSweep, wanted: int) -> bool:
-    return len(found[1].chosen) == wanted and not _too_low(found)
+    def repaired(self, record: Record) -> tuple[Record, SourceAndSweep, list[Finding]]:
+        """Set channels right that the lowest modes show to be wrong; source and sweep of the record come second."""
+        found = self.settled(record)
+        frequencies, lowest = picking.strongest(found[1], 2)
+        if record.turns or len(record.channels) < 2 or len(lowest) < 2:
+            return record, found, []
+        hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
+        findings = placement.findings_of(hypotheses, record.channels, lowest[0])
+        if findings and findings[0].numbers["corrected"]:
+            record = hypotheses[0].mended(record)
+            found = self.settled(record)
+        return record, found, findings
+
+    def identified(self, record: Record, found: SourceAndSweep, findings: list[Finding]) -> ModalResult:
+        """Values, deviations and findings of the modes that were chosen."""
+        source, sweep = found
+        if len(sweep.chosen) < len(self.picked):
+            raise InputError(_out_of_reach(sweep, self.picked))
+        parts = picking.Parts(source, sweep.poles)
+        scattering = partial(estimate.scattering, parts, criteria=self.criteria)
+        # Modes that were picked by hand stay; their standard deviations show their uncertainty.
+        while len(source.groups) and not self.picked and (doubts := scattering(sweep.chosen)):
+            sweep = sweep.without(doubts)
+        while sweep.chosen:
+            setting = estimate.Replication(record, parts, sweep)
+            full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
+            spread, how, lost = estimate.covariance(setting, full)
+            result = estimate.assembled(setting, full, spread, method=self.method, uncertainty=how)
+            # Once clocks are right, which no frequency depends on, and by surrogates where nothing can be left out.
+            stds = np.zeros(len(sweep.chosen)) if len(source.groups) else result.frequency_std
+            each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), stds.tolist(), strict=True)
+            doubts = {k: v for item in each for k, v in estimate.doubted(*item, self.criteria).items()}
+            if self.picked or not doubts:
+                break
+            sweep = sweep.without(doubts)
+        else:
+            raise NoSolutionError(self.method, _nothing(sweep))
+        if len(source.groups):
+            # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
+            # well.
+            others = diagnostics.left_out(sweep.candidates, sweep.chosen)
+            sweep = sweep.without(scattering([item for item in others if item.physical]))
+            setting = dataclasses.replace(setting, sweep=sweep)
+        said = [
+            *findings,
+            *estimate.leakage_findings(setting, full),
+            *diagnostics.modal_findings(result, setting, full, lost, self.turning),
+        ]
+        sizes = {"floors": len(record.channels), "stories": record.stories}
+        left = diagnostics.left_out(sweep.candidates, sweep.chosen)
+        if not record.turns:
+            said += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
+        return dataclasses.replace(result, findings=tuple(said), sweep=sweep)
 
 
 def _too_low(found: SourceAndSweep) -> bool:
@@ -88,9 +160,6 @@ def identify_modes(
     method: str | None = None,
     blocks: int = prepare.BLOCKS,
     criteria: pole_sweep.Criteria | None = None,
-    count: int | None = None,
-    accept_swapped: bool = False,
-    seed: int = 0,
     pick: Sequence[float] | None = None,
     functions: bool = False,
 ) -> ModalResult:
@@ -106,12 +175,6 @@ def identify_modes(
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
-    count : int, optional
-        Most modes; one a story where None.
-    accept_swapped : bool, optional
-        Report channels that look swapped as a finding, not as an error.
-    seed : int, optional
-        For the surrogates of a record that cannot be cut into pieces.
     pick : sequence of float, optional
         Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
     functions : bool, optional
@@ -131,24 +194,21 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    if picked and count is not None:
-        raise InputError("give either count or pick: the modes picked by hand are as many as they are")
+    if len(picked) > record.most_modes:
+        raise InputError(
+            f"pick names {len(picked)} modes; a frame of {record.stories} stories has no more than {record.most_modes}"
+        )
     method = prepare.suited_methods(record)[0] if method is None else method
     checks.choice(method, prepare.MODAL_METHODS, "method")
-    wanted = _wanted(record, count, picked)
-    criteria = criteria or pole_sweep.Criteria()
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
             looked = examined(record)
-            attempt = partial(
-                _attempt, method=method, blocks=blocks, criteria=criteria, wanted=wanted, picked=picked,
-                turning=looked.turning,
-            )  # fmt: skip
+            search = ModeSearch(method, blocks, criteria or pole_sweep.Criteria(), picked, looked.turning)
             try:
                 while True:
-                    repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
-                    result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
+                    repaired = search.repaired(looked.record)
+                    result = search.identified(*repaired)
                     slow = [item for item in result.findings if item.kind == "low-pass"]
                     if not slow:
                         break
@@ -172,121 +232,6 @@ def identify_modes(
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(method, reason) from error
-
-
-def _attempt(
-    record: Record,
-    order: Sequence[int] | None = None,
-    *,
-    method: str,
-    blocks: int,
-    criteria: pole_sweep.Criteria,
-    wanted: int,
-    picked: tuple[float, ...],
-    turning: Callable[[float], float] | None,
-) -> SourceAndSweep:
-    """Bring a record into the method's form and sweep the orders; `order` puts the channels in that of their floors."""
-    source = prepare.source_of(record, method, blocks=blocks)
-    by_signs = None if record.turns else len(record.channels) == record.stories > 1
-    choose = picking.ModeChoice(wanted, record.stories, by_signs, picked, order)
-    shift = _window_decay(record)
-    return source, picking.sweep_orders(source, criteria, choose, band=record.band, shift=shift, turning=turning)
-
-
-def _window_decay(record: Record) -> float:
-    return 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
-
-
-def _identified(
-    record: Record,
-    found: SourceAndSweep,
-    of_places: list[Finding],
-    method: str,
-    criteria: pole_sweep.Criteria,
-    wanted: int,
-    seed: int,
-    turning: Callable[[float], float] | None,
-) -> ModalResult:
-    """Values, deviations and findings of the modes that were chosen."""
-    source, sweep = found
-    picked = sweep.choose.picked
-    if len(sweep.chosen) < len(picked):
-        raise InputError(_out_of_reach(sweep, picked))
-    parts = picking.Parts(source, sweep.poles)
-    scattering = partial(estimate.scattering, parts, criteria=criteria)
-    # Modes that were picked by hand stay; their standard deviations show their uncertainty.
-    while len(source.groups) and not picked and (doubts := scattering(sweep.chosen)):
-        sweep = sweep.without(doubts)
-    base = not isinstance(record, FrfRecord) and record.input == "base"
-    while sweep.chosen:
-        of_record = record.floors, record.quantity, _window_decay(record), base, record.turns
-        setting = estimate.Replication(parts, sweep, *of_record)
-        of_leakage = estimate.settle_truncation(record, setting, picking.Values.of(sweep.chosen))
-        full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
-        spread, how, lost = estimate.covariance(setting, full, seed)
-        result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
-        # Once clocks are right, which no frequency depends on, and by surrogates where nothing can be left out.
-        stds = np.zeros(len(sweep.chosen)) if len(source.groups) else result.frequency_std
-        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), stds.tolist(), strict=True)
-        doubts = {k: v for item in each for k, v in estimate.doubted(*item, criteria).items()}
-        if picked or not doubts:
-            break
-        sweep = sweep.without(doubts)
-    else:
-        raise NoSolutionError(method, _nothing(sweep))
-    if len(source.groups):
-        # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
-        # well.
-        others = diagnostics.left_out(sweep.candidates, sweep.chosen)
-        sweep = sweep.without(scattering([item for item in others if item.physical]))
-        setting = dataclasses.replace(setting, sweep=sweep)
-    findings = of_places + of_leakage
-    findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
-    sizes = {"floors": len(record.channels), "stories": record.stories}
-    left = diagnostics.left_out(sweep.candidates, sweep.chosen)
-    if not record.turns:
-        findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
-    return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
-
-
-def _repaired(
-    record: Record, wanted: int, attempt: Attempt, highest: float, accept_swapped: bool
-) -> tuple[Record, SourceAndSweep, list[Finding]]:
-    """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
-
-    Raises
-    ------
-    InputError
-        Where two channels are in each other's place, and that was not accepted.
-    """
-    found = settled(record, wanted, attempt, highest=highest)
-    frequencies, lowest = picking.strongest(found[1], 2)
-    if record.turns or len(record.channels) < 2 or len(lowest) < 2:
-        return record, found, []
-    hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
-    findings = placement.findings_of(hypotheses, record.channels, lowest[0])
-    best = hypotheses[0]
-    if findings and findings[0].kind == "swapped channels" and best.probability >= quantities.SURE:
-        if not accept_swapped:
-            raise InputError(findings[0].message)
-        order = list(range(len(record.channels)))
-        low, high = best.places
-        order[low], order[high] = high, low
-        return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
-    if findings and findings[0].numbers["corrected"]:
-        factor = -1.0 if best.kind == "sign" else best.factor
-        factors = dict.fromkeys(best.places, factor)
-        record = prepare.scaled(record, {record.channels[place].name: value for place, value in factors.items()})
-        found = settled(record, wanted, attempt, highest=highest)
-    return record, found, findings
-
-
-def _wanted(record: Record, count: int | None, picked: tuple[float, ...]) -> int:
-    """How many modes would be all."""
-    most = record.most_modes
-    if len(picked) > most:
-        raise InputError(f"pick names {len(picked)} modes; a frame of {record.stories} stories has no more than {most}")
-    return len(picked) or (most if count is None else checks.whole(count, "count", least=1, most=most))
 
 
 def _out_of_reach(sweep: picking.Sweep, picked: tuple[float, ...]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
@@ -37,7 +36,7 @@ PICKABLE = 0.03
 Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class PoleCandidate:
     """A cluster of stable poles, judged.
 
@@ -77,7 +76,7 @@ class PoleCandidate:
         return abs(self.eigenvalue) / (2 * np.pi)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Values:
     """Eigenvalues and shapes of the chosen modes, from all the data or a part.
 
@@ -96,7 +95,7 @@ class Values:
         return Values(np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items]))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Sweep:
     """The order sweep of one record, with what was made of it.
 
@@ -128,7 +127,7 @@ class Sweep:
         return self.choose(self.poles, self.stable, candidates)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ModeChoice:
     """Which candidates are the frame's modes.
 
@@ -145,15 +144,12 @@ class ModeChoice:
         numbers them 1, 2, ..., for floors that turn.
     picked : tuple of float
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
-    order : sequence of int, optional
-        The channels from the ground up, where two are known to be in each other's place.
     """
 
     count: int
     stories: int
     by_signs: bool | None
     picked: tuple[float, ...] = ()
-    order: Sequence[int] | None = None
 
     def __call__(self, poles: list[pole_sweep.Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
         """Choose the modes among the candidates, which are ascending in frequency."""
@@ -161,12 +157,12 @@ class ModeChoice:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
         usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
         if self.by_signs:
-            chosen = _by_signs(usable, self.count, self.order)
+            chosen = _by_signs(usable, self.count)
         else:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
             chosen = sorted(loudest, key=lambda item: item.frequency)
             if self.by_signs is not None:
-                chosen = _as_low(chosen, self.stories, self.order)
+                chosen = _as_low(chosen, self.stories)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -303,7 +299,7 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
     return sorted(chosen, key=lambda item: item.frequency)
 
 
-def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     """Choose candidates, one for each number of sign changes at most, ascending, and number them.
 
     A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
@@ -312,7 +308,7 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
     """
     if not usable:
         return []
-    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)]
+    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable)]
     return list(max(ranked, key=itemgetter(0))[1])
 
 
@@ -337,14 +333,14 @@ def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) ->
     return best[count]
 
 
-def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+def _as_low(chosen: list[PoleCandidate], stories: int) -> list[PoleCandidate]:
     """Give the candidates the lowest numbers that they can have where some floors are not measured.
 
     At some of the floors mode r changes sign r - 1 times at most. If this needs more modes than the frame has, the
     weakest candidates are left out.
     """
     while chosen:
-        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen, order)), key=lambda each: each[-1])
+        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen)), key=lambda each: each[-1])
         if numbered[-1] <= stories:
             return [dataclasses.replace(item, number=each) for item, each in zip(chosen, numbered, strict=True)]
         weakest = min(chosen, key=lambda item: item.energy)
@@ -359,13 +355,13 @@ def _lowest_numbers(shapes: Floats) -> Iterator[int]:
         yield number
 
 
-def _real(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Iterator[Floats]:
+def _real(items: list[PoleCandidate]) -> Iterator[Floats]:
     """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
 
     A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
     """
-    straight, recorded = _straight(items), np.array([real_shape(item.shape) for item in items])
-    yield from (shapes if order is None else shapes[:, list(order)] for shapes in (straight, recorded))
+    yield _straight(items)
+    yield np.array([real_shape(item.shape) for item in items])
 
 
 def _straight(items: list[PoleCandidate]) -> Floats:

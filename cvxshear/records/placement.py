@@ -12,12 +12,11 @@ Under base motion every floor moves with the base at low frequency, which tells 
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.records import prepare
-from cvxshear.records.clocks import FAULTY, SEGMENT
+from cvxshear.records.clocks import FAULTY
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
@@ -49,7 +48,7 @@ WORST = 10.0
 DOUBTFUL = 0.3
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ChannelMistake:
     """A possible mistake in the channels.
 
@@ -60,7 +59,7 @@ class ChannelMistake:
     places : tuple of int
         Of the channels, in their order.
     factor : float
-        By which a channel in another unit is multiplied.
+        By which a channel is multiplied that is reversed or in another unit.
     probability : float
         After the modes have been seen.
     missed : float
@@ -76,13 +75,23 @@ class ChannelMistake:
     def undone(self, shapes: Floats) -> Floats:
         """Return the shapes as they are where the hypothesis is true, shape (m, n)."""
         result = np.array(shapes, dtype=np.float64)
-        if self.kind == "swapped channels":
-            result[:, list(self.places)] = result[:, list(self.places[::-1])]
-        elif self.kind == "sign":
-            result[:, list(self.places)] *= -1.0
-        elif self.kind == "unit":
-            result[:, list(self.places)] *= self.factor
+        result[:, list(self.places)] = self.factor * result[:, list(self.order)]
         return result
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The channels that belong in the places."""
+        return self.places[::-1] if self.kind == "swapped channels" else self.places
+
+    def mended(self, record: prepare.AnyRecord) -> prepare.AnyRecord:
+        """Return the record as it is where the hypothesis is true."""
+        order, factors = np.arange(len(record.channels)), np.ones(len(record.channels))
+        order[list(self.places)], factors[list(self.places)] = self.order, self.factor
+        channels = tuple(
+            dataclasses.replace(record.channels[other], floor=channel.floor)
+            for other, channel in zip(order.tolist(), record.channels, strict=True)
+        )
+        return prepare.with_responses(record, [run.responses[:, order] * factors for run in record.runs], channels)
 
 
 def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[ChannelMistake]:
@@ -101,8 +110,8 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     pairs = list(itertools.combinations(range(count), 2))
     # All channels but some reversed is the same as those reversed.
     prior = [(ChannelMistake("sound"), 1.0)]
-    prior += [(ChannelMistake("sign", (i,)), FAULTY) for i in range(count if count > 2 else 1)]
-    prior += [(ChannelMistake("sign", pair), FAULTY**2) for pair in (pairs if count > 4 else ())]
+    prior += [(ChannelMistake("sign", (i,), -1.0), FAULTY) for i in range(count if count > 2 else 1)]
+    prior += [(ChannelMistake("sign", pair, -1.0), FAULTY**2) for pair in (pairs if count > 4 else ())]
     prior += [(ChannelMistake("swapped channels", pair), FAULTY / (count - 1)) for pair in pairs]
     prior += [
         (ChannelMistake("unit", (i,), factor), OTHER_UNIT)
@@ -211,14 +220,10 @@ def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel
     options.append(f"{otherwise}the channels are as declared ({quantities.chance(sound)})")
     rest = max(1.0 - sound - sum(item.probability for item in rivals), 0.0)
     options.append(f"something else is wrong ({quantities.chance(rest)})")
-    # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
     said = (
-        f"by the lowest modes {options[0]}, or {quantities.listed(options[1:], 'or')}"
-        if rivals[0].probability > 0.5
-        else f"the lowest modes cannot tell what is wrong: {quantities.listed(options, 'or')}"
+        f"by the lowest modes {quantities.listed(options, 'or')}; look at the cables and units. The record is taken as "
+        f"declared: nothing reaches {100 * quantities.SURE:.0f} %"
     )
-    sure = 100 * quantities.SURE
-    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {sure:.0f} %"
     numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
     return [Finding(rivals[0].kind, said, numbers)]
 
@@ -232,17 +237,13 @@ def _named(item: ChannelMistake, channels: Sequence[Channel]) -> list[str]:
 
 def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
     named = quantities.listed([str(channels[place]) for place in item.places])
-    if item.kind == "sign" and len(channels) == 2:
-        return f"{quantities.listed(list(map(str, channels)), 'or')} is reversed"
-    if item.kind == "sign":
-        return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":
-        channel = channels[item.places[0]]
-        unit = unit_in_truth(channel, item.factor)
-        if channel.unit is not None:
-            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
-        return f"{named} is in {unit if unit is not None else 'm/s2 and the others in g'}"
-    return f"{named} are in each other's place"
+        return f"{named} {_other_unit(channels[item.places[0]], item.factor)[1]}"
+    if item.kind == "swapped channels":
+        return f"{named} are in each other's place"
+    if len(channels) == 2:
+        named = quantities.listed(list(map(str, channels)), "or")
+    return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
 
 
 def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
@@ -261,7 +262,7 @@ def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, soun
     still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
     dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
     return finding(
-        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, shape=shape, odds=odds, dead=dead,
+        "swapped channels", {**numbers, "corrected": True}, low=low, high=high, shape=shape, odds=odds, dead=dead,
     )  # fmt: skip
 
 
@@ -298,11 +299,6 @@ def with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     return (prepare.scaled(record, changes) if changes else record), findings
 
 
-def unit_of(gain: float) -> str | None:
-    """Name the unit of a channel from its ratio to a channel in m/s2; None for m/s2 and for an unknown ratio."""
-    return _nearest_unit(1.0 / gain)
-
-
 def _nearest_unit(size: float) -> str | None:
     """Name the unit of acceleration of this size in m/s2; None without a near unit."""
     off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
@@ -310,20 +306,19 @@ def _nearest_unit(size: float) -> str | None:
     return nearest if off[nearest] < SAME_RATIO else None
 
 
-def unit_in_truth(channel: Channel, factor: float) -> str | None:
-    """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
-    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+def _other_unit(channel: Channel, factor: float) -> tuple[str | None, str]:
+    """Name the unit of a channel whose values need a factor, None if unknown, and say what the channel looks like."""
+    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    if channel.unit is not None:
+        return unit, f"is declared in {channel.unit} and looks like {unit or f'{factor:.3g} times that'}"
+    if unit is not None:
+        return unit, f"looks like {unit}, the others like m/s2"
+    return unit, f"looks like m/s2, the others like {_nearest_unit(1.0 / factor) or f'{1.0 / factor:.3g} times that'}"
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:
     """Report a channel with another unit than the declared unit or, without a declaration, than the other channels."""
-    unit = unit_in_truth(channel, factor)
-    if channel.unit is not None:
-        looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
-    elif unit is not None:
-        looks = f"looks like {unit}, the others like m/s2"
-    else:
-        looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
+    unit, looks = _other_unit(channel, factor)
     remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
     numbers = {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True}
     return finding("unit", numbers, looks=looks, where=channel, why=why, remedy=remedy)
@@ -340,7 +335,7 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
         run.excitation is None or prepare.impulsive(run) for run in record.runs
     ):
         return None
-    length = min(int(SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
+    length = min(int(prepare.SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
     if length < 64:
         return None
     columns = len(record.channels) + 1

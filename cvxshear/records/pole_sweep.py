@@ -13,7 +13,6 @@ import itertools
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -79,7 +78,7 @@ class Source(ABC):
         return found / impulse.excited(eigenvalues, self.sampling_rate)[:, None, :], impulse.driven
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Impulse:
     """Impulse responses, or free decays.
 
@@ -140,7 +139,7 @@ class DampedModes:
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Poles(DampedModes):
     """Poles of one model order with positive imaginary part.
 
@@ -260,7 +259,7 @@ def normalized(shapes: Complexes) -> Complexes:
 LEAST_ORDERS, STATES = 30, 3
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Criteria:
     """Criteria of stable poles and physical clusters; the defaults are the same for every record.
 
@@ -303,14 +302,8 @@ class Criteria:
     def __post_init__(self) -> None:
         if self.highest_order is not None:
             checks.whole(self.highest_order, "highest_order", least=4, most=400)
-        for name in (
-            "frequency_change",
-            "damping_change",
-            "highest_damping",
-            "largest_shape_std",
-            "largest_frequency_std",
-        ):
-            checks.number(getattr(self, name), name, above=0.0)
+        for field in dataclasses.fields(self)[1:]:
+            checks.number(getattr(self, field.name), field.name, above=0.0)
 
     def orders(self, count: int) -> range:
         """Return the orders of a sweep for a number of modes."""

@@ -1,8 +1,6 @@
 """Preparation of a record: trend, decimation, clocks, what a method needs, and functions of frequency for figures.
 
-Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments;
-ambient ones have half-spectra, the transforms of the covariances at positive lags, which are sums of the same
-poles (Peeters and Van der Auweraer 2005).
+Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments.
 """
 
 from __future__ import annotations
@@ -10,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -309,15 +306,13 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
             yield run, start, stop
 
 
-#: Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows.
-LINES = 512
+#: s; long beside the longest delay of a clock, short enough that a record has many.
+SEGMENT = 20.0
 #: Of a continuous record; with fewer averages its functions are mostly noise.
 FEWEST_SEGMENTS = 8
-#: Value of the exponential window on covariances at the last lag; the window reduces noise.
-LAG_WINDOW = 0.01
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Functions:
     """Functions of frequency that a record shows.
 
@@ -326,13 +321,10 @@ class Functions:
     frequencies : array, shape (lines,)
         Hz, above zero.
     values : array of complex, shape (lines, outputs, inputs)
-        Response over force or over base acceleration; half-spectra against the reference floors where no input was
-        measured.
+        Response over force or over base acceleration.
     floors : array of int, shape (outputs,)
     inputs : array of int, shape (inputs,)
-        Floor of each force, 0 the ground; for half-spectra the reference floors.
-    driven : bool
-        Whether an input was measured.
+        Floor of each force, 0 the ground.
     quantity : str
         What the responses are.
     decay : float
@@ -343,18 +335,12 @@ class Functions:
     values: Complexes
     floors: Ints
     inputs: Ints
-    driven: bool
     quantity: str
-    decay: float = 0.0
-
-    def up_to(self, highest: float) -> Functions:
-        """Leave out the lines above a frequency, Hz."""
-        kept = self.frequencies <= highest
-        return dataclasses.replace(self, frequencies=self.frequencies[kept], values=self.values[kept])
+    decay: float
 
 
-def measured_functions(record: Record, highest: float) -> Functions:
-    """Estimate the functions of frequency that a record shows.
+def measured_functions(record: Record, highest: float) -> Functions | None:
+    """Estimate the functions of frequency that a record shows; None where no input was measured.
 
     Parameters
     ----------
@@ -364,64 +350,36 @@ def measured_functions(record: Record, highest: float) -> Functions:
 
     Returns
     -------
-    Functions
+    Functions or None
     """
     rate = record.sampling_rate
     if isinstance(record, FrfRecord):
         spectra, _ = frf.table_spectra(record)
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
-        found = _of_spectra(record, spectra, lines)
     elif struck(record):
         spectra, samples = frf.hit_spectra(without_offset(record))
-        found = _of_spectra(record, spectra, _lines(samples, rate))
+        lines = np.asarray(np.fft.rfftfreq(samples, 1.0 / rate), dtype=np.float64)
     elif record.input in ("force", "base"):
-        record, segment = detrended(record), _segment(record, highest)
+        record = detrended(record)
+        shortest = min(run.samples for run in record.runs)
+        segment = max(64, int(min(SEGMENT * rate, 2 * shortest / FEWEST_SEGMENTS))) // 2 * 2
         spectra = []
         for run in record.runs:
             assert run.excitation is not None
             cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
             spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
-        found = _of_spectra(record, spectra, _lines(segment, rate))
+        lines = np.asarray(np.fft.rfftfreq(segment, 1.0 / rate), dtype=np.float64)
     else:
-        found = _of_undriven(detrended(record), _segment(record, highest))
-    return found.up_to(highest)
-
-
-def _of_spectra(record: Record, spectra: list[frf.Spectra], lines: Floats) -> Functions:
-    """Functions of a driven record, summed over what was recorded at each driving floor."""
+        return None
     floors = np.unique([item.floor for item in spectra]).astype(np.int64)
     values = []
     for floor in floors:
         hits = [item for item in spectra if item.floor == floor]
         force = np.sum([hit.force_force for hit in hits], axis=0)[:, None]
         values.append(np.sum([hit.response_force for hit in hits], axis=0) / force)
-    decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
-    return Functions(lines[1:], np.stack(values, axis=2)[1:], record.floors, floors, True, record.quantity, decay)
-
-
-def _of_undriven(record: TimeRecord, segment: int) -> Functions:
-    """Half-spectra against the highest floor."""
-    reference, rate = len(record.channels) - 1, record.sampling_rate
-    cross = np.sum([welch(run.responses, reference, rate, segment)[0] for run in record.runs], axis=0)
-    lags = np.fft.irfft(cross, axis=0)[: segment // 2]
-    # Positive lags alone, the sharp cut at the end softened; the zero lag counts half.
-    lags[0] *= 0.5
-    decay = -np.log(LAG_WINDOW) / len(lags)
-    window = np.exp(-decay * np.arange(len(lags)))
-    halves = np.fft.rfft(lags * window[:, None], n=segment, axis=0)
-    lines, against = _lines(segment, rate)[1:], record.floors[[reference]]
-    return Functions(lines, halves[1:, :, None], record.floors, against, False, record.quantity, float(decay * rate))
-
-
-def _lines(samples: int, rate: float) -> Floats:
-    return rate / samples * np.arange(samples // 2 + 1, dtype=np.float64)
-
-
-def _segment(record: TimeRecord, highest: float) -> int:
-    """Choose an even number of samples for each segment, small enough for several segments in the runs."""
-    samples = min(run.samples for run in record.runs)
-    wanted = LINES * record.sampling_rate / min(highest, record.sampling_rate / 2)
-    return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2
+    kept = (lines > 0) & (lines <= highest)
+    whole = np.stack(values, axis=2)[kept]
+    return Functions(lines[kept], whole, record.floors, floors, record.quantity, record.window_decay)
 
 
 def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:

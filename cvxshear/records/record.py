@@ -210,6 +210,11 @@ class _Recorded(checks.ReadOnlyArrays):
             put(self, "band", (float(low), float(high)))
 
     @property
+    def window_decay(self) -> float:
+        """What the exponential window added to the decay rate of every mode, 1/s."""
+        return 0.0 if self.exponential_window is None else 1.0 / self.exponential_window
+
+    @property
     def most_modes(self) -> int:
         """Number of modes of the frame: one a story, or three where the floors turn."""
         return 3 * self.stories if self.turns else self.stories
@@ -381,8 +386,7 @@ class FrfRecord(_Recorded):
         Hz, ascending by one step, starting at zero or at a whole multiple of the step.
     truncated : bool, optional
         Whether the functions were computed from responses cut off at the end of the window before they had decayed
-        (leakage), rather than being samples of the true functions. None: decided by the phases of the residues if it
-        matters.
+        (leakage), rather than being samples of the true functions.
 
     Raises
     ------
@@ -392,7 +396,7 @@ class FrfRecord(_Recorded):
 
     runs: tuple[FrfRun, ...] = ()
     frequencies: Floats = field(default_factory=lambda: np.zeros(0))
-    truncated: bool | None = None
+    truncated: bool = True
 
     def __post_init__(self) -> None:
         self._check_common()

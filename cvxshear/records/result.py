@@ -231,40 +231,32 @@ class ModalResult(Shown):
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """Write the table `[[configuration]]` of a measurement file that these modes make."""
-        result: Json = {"name": self.name}
-        if state is not None:
-            result["state"] = state
-        if added_mass is not None:
-            result["added_mass"] = [float(mass) for mass in added_mass]
-        if self.amplitude is not None:
-            result["amplitude"] = self.amplitude
-        result |= {
-            **(
-                {"sensors": [sensor.to_dict() for sensor in self.sensors]}
-                if self.sensors
-                else {"measured_floors": self.floors.tolist()}
-            ),
+        std, entry_std, damping = self.written_frequency_std, self.written_entry_std, self.damping_ratios
+        damped = np.all(damping > 0) and np.all(self.damping_std > 0)
+        others = [
+            {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
+            for item in self.findings
+            if item.kind == OVERLOOKED_KIND
+        ]
+        result = {
+            "name": self.name,
+            "state": state,
+            "added_mass": None if added_mass is None else [float(mass) for mass in added_mass],
+            "amplitude": self.amplitude,
+            "sensors": [sensor.to_dict() for sensor in self.sensors] or None,
+            "measured_floors": None if self.sensors else self.floors.tolist(),
             "modes": self.modes.tolist(),
-            "other_modes": [
-                {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
-                for item in self.findings
-                if item.kind == OVERLOOKED_KIND
-            ],
+            "other_modes": others or None,
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
+            "frequency_std": std.tolist() if np.all(np.isfinite(std)) else None,
+            "mode_shape_std": entry_std.tolist() if np.all(np.isfinite(entry_std)) else None,
+            "mode_shape_noise": "additive" if np.all(np.isfinite(entry_std)) else None,
+            "damping_ratios": np.clip(damping, 0.0, None).tolist() if np.all(np.isfinite(damping)) else None,
+            "damping_ratio_std": (self.written_damping_std / damping).tolist() if damped else None,
         }
-        if not result["other_modes"]:
-            del result["other_modes"]
-        if np.all(np.isfinite(self.frequency_std)):
-            result["frequency_std"] = self.written_frequency_std.tolist()
-        if np.all(np.isfinite(self.entry_std)):
-            result |= {"mode_shape_std": self.written_entry_std.tolist(), "mode_shape_noise": "additive"}
-        if np.all(np.isfinite(self.damping_ratios)):
-            result["damping_ratios"] = np.clip(self.damping_ratios, 0.0, None).tolist()
-        if np.all(self.damping_ratios > 0) and np.all(self.damping_std > 0):
-            result["damping_ratio_std"] = (self.written_damping_std / self.damping_ratios).tolist()
-        return result
+        return {key: value for key, value in result.items() if value is not None}
 
     def to_experiment(
         self,

@@ -213,10 +213,18 @@ def places(count: int, head: str = "", name: str = "") -> Column:
     return Column(head, tuple(map(str, numbers)), words=True, name=name, values=numbers)
 
 
-def exact(name: str, values: Floats | Iterable[Exact], std: Floats | None = None, unit: str = "") -> Column:
-    """Make a column that only programs read."""
+def exact(
+    name: str,
+    values: Floats | Iterable[Exact],
+    std: Floats | None = None,
+    unit: str = "",
+    head: str = "",
+    texts: Iterable[str] = (),
+) -> Column:
+    """Make a column of values for programs; with a heading and texts, people read it too."""
     listed = values.tolist() if hasattr(values, "tolist") else values
-    return Column(name=name, values=tuple(listed), std=None if std is None else tuple(std.tolist()), unit=unit)
+    deviations = None if std is None else tuple(std.tolist())
+    return Column(head, tuple(texts), name=name, values=tuple(listed), std=deviations, unit=unit)
 
 
 Block = Sentence | Points | Facts | Table

@@ -7,16 +7,13 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
 from cvxshear.loop.hypotheses import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
-from cvxshear.loop.results import VERDICTS, AddedEffect, Verdict, by_part
+from cvxshear.loop.results import VERDICTS, AddedEffect, by_part
 from cvxshear.report.blocks import Section, table_of_rows
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std
 
 #: Names of the first and the final model of the loop. The words "before" and "after" may be names of states.
 MODELS = ("shear model", "with effects")
-
-#: Smallest probability of other mode numbers, or of an effect outside the model, that a sentence mentions.
-DOUBT = 0.05
 
 
 def numbers_in_words(changes: Changes) -> str:
@@ -26,6 +23,8 @@ def numbers_in_words(changes: Changes) -> str:
     ----------
     changes : tuple of (str, tuple of int)
     """
+    if not changes:
+        return "the modes are those given"
     names: dict[tuple[int, ...], list[str]] = {}
     for name, modes in changes:
         names.setdefault(modes, []).append(f'"{name}"')
@@ -34,26 +33,17 @@ def numbers_in_words(changes: Changes) -> str:
 
 
 def in_doubt(result: LoopResult) -> bool:
-    """Return whether the second most probable numbering has a probability above `DOUBT`."""
-    return len(result.numberings) > 1 and result.numberings[1].probability > DOUBT
+    """Return whether the second most probable numbering is possible."""
+    return len(result.numberings) > 1 and result.numberings[1].probability > 1.0 - SURE
 
 
-def other_numbers(result: LoopResult) -> str:
-    """Write the second most probable numbering."""
-    other = result.numberings[1]
-    return numbers_in_words(other.changes) if other.changes else "the modes are those given"
-
-
-def numbering_sections(result: LoopResult) -> Iterator[Section]:
-    """Tabulate the probabilities of the numberings; yield no section if the mode numbers were certain."""
+def numbering_section(result: LoopResult) -> Section:
+    """Tabulate the probabilities of the numberings; without parts if the mode numbers were certain."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
-        return
-    rows = []
-    for item in result.numberings:
-        said = numbers_in_words(item.changes) if item.changes else "the modes are those given"
-        rows.append((said, chance(item.probability)))
+        return Section("numbering", "", ())
+    rows = ((numbers_in_words(item.changes), chance(item.probability)) for item in result.numberings)
     title, head = "Which modes of the frame were measured", ("numbering", "probability")
-    yield Section("numbering", "Which modes these are", (table_of_rows("numberings", title, head, rows),))
+    return Section("numbering", "Which modes these are", (table_of_rows("numberings", title, head, rows),))
 
 
 def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
@@ -96,16 +86,6 @@ def some(texts: Sequence[str], word: str = "and") -> str:
     return listed([*texts[:NAMED], *more], word)
 
 
-def verdict_of(result: LoopResult) -> Verdict:
-    """Look up the verdict and its texts.
-
-    Parameters
-    ----------
-    result : LoopResult
-    """
-    return VERDICTS[result.verdict]
-
-
 def headline(result: LoopResult) -> str:
     """State the finding, its probability, and its influence on the error that decided the verdict.
 
@@ -113,8 +93,7 @@ def headline(result: LoopResult) -> str:
     ----------
     result : LoopResult
     """
-    verdict, found = verdict_of(result), result.numberings[0]
-    spread = "in no single part" if verdict.provisional else ""
+    found, spread = result.numberings[0], "in no single part" if result.provisional else ""
     added, before = bool(result.effects), result.before
     unmoved = _only_accuracy(result) if added else bool(found.changes)
     renumbered = ""
@@ -123,22 +102,23 @@ def headline(result: LoopResult) -> str:
         numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
         moved = change_in_words(result.before.estimate, before.estimate)
         renumbered = f"{numbers}, and with these numbers {moved}; "
-    said = verdict.says(
+    if result.estimate.dof <= 0:
+        within = "exactly, as it has as many parameters as there are data"
+    else:
+        within = f"within {noise_in_words(result) or 'the stated noise'}"
+    model = "the symmetric model" if result.experiment.symmetric else "the shear model"
+    if result.assumed:
+        model += f" with {listed([placed.label for placed in result.assumed])}"
+    said = VERDICTS[result.verdict].says(
         added=added,
-        model=_model(result),
+        model=model,
         found=_effects(result),
         doubt=_doubt(result),
         place=f"in {listed(result.remains[:2])}" if result.remains else spread,
         change="" if unmoved else change_in_words(before.estimate, result.estimate),
-        within=_within(result),
+        within=within,
     )
     return f"{renumbered}{said}."
-
-
-def _within(result: LoopResult) -> str:
-    if result.estimate.dof <= 0:
-        return "exactly, as it has as many parameters as there are data"
-    return f"within {noise_in_words(result) or 'the stated noise'}"
 
 
 def _doubt(result: LoopResult) -> str:
@@ -158,17 +138,11 @@ def _doubt(result: LoopResult) -> str:
     elif doubtful:
         said = f"in place of {len(doubtful)} of them something else would explain the data as well"
     elif in_doubt(result):
-        said = f"perhaps {other_numbers(result)} ({chance(result.numberings[1].probability)})"
+        said = f"perhaps {numbers_in_words(result.numberings[1].changes)} ({chance(result.numberings[1].probability)})"
     elif unsure := [item.placed.label for item in result.effects if item.probability < SURE]:
         which = "it is" if len(result.effects) == 1 else f"{listed(unsure)} {'is' if len(unsure) == 1 else 'are'}"
         said = f"that {which} there at all is less sure than 95 %"
     return said
-
-
-def _model(result: LoopResult) -> str:
-    if not result.assumed:
-        return "the shear model"
-    return f"the shear model with {listed([placed.label for placed in result.assumed])}"
 
 
 def _effects(result: LoopResult) -> str:
@@ -177,7 +151,7 @@ def _effects(result: LoopResult) -> str:
     Provisional effects have no probability here: it would compare causes that all fail to explain the data.
     """
     said = [
-        item.size if verdict_of(result).provisional
+        item.size if result.provisional
         else f"{item.story.change} ({chance(item.story.probability)} probable)" if item.story
         else f"{item.size[:-1]}; {chance(item.probability)} probable)" if item.size.endswith(")")
         else f"{item.size} ({chance(item.probability)} probable)"

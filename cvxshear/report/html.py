@@ -12,9 +12,10 @@ from markupsafe import Markup
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
 from cvxshear.loop import LoopResult
+from cvxshear.loop.results import VERDICTS
 from cvxshear.records import ModalResult
 from cvxshear.report.blocks import describe
-from cvxshear.report.headline import headline, verdict_of
+from cvxshear.report.headline import headline
 from cvxshear.util.errors import printable
 from cvxshear.util.quantities import capital
 from cvxshear.util.results import as_json
@@ -126,7 +127,7 @@ def render(result: Any, command: str, comparison: Comparison | None = None, fail
         contents |= {
             "heading": first.experiment.report,
             "headline": capital(headline(first)),
-            "verdict": verdict_of(first),
+            "verdict": VERDICTS[first.verdict],
             # Without effects the picture of the verdict is the identified frame.
             "figure": {name: each for name, each in figure.items() if first.effects or name != "frame"},
             "backends": describe(compared)["worst"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -140,58 +139,28 @@ def frame_table(
     frame: results.IdentifiedFrame, title: str, units: quantities.Units, key: str = "identified"
 ) -> blocks.Table:
     """Tabulate floor masses, their sum and story stiffnesses, the top first; values at a bound have no deviation."""
-    if isinstance(frame, TurningFrame):
-        return _turning_table(frame, title, units, key)
     columns = [blocks.places(len(frame.floor_mass), "floor / story", "floor")]
-    for quantity, values, std, unit, unit_of in (
-        ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
-        ("story_stiffness", frame.story_stiffness, frame.story_stiffness_std, "N/m", units.of_stiffness),
-    ):
-        factor, shown = unit_of(values.tolist())
-        at_bound = frame.stopped(quantity)
-        texts = [
-            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
-            for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
-        ]
-        own = np.where(at_bound, np.nan, std)
-        head = f"{quantity.partition('_')[2]}, {shown}"
-        columns.append(
-            blocks.Column(
-                head, tuple(texts), name=quantity, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit
-            )
-        )
-    factor, _ = units.of_mass(frame.floor_mass.tolist())
-    foot = ("sum", quantities.significant(float(frame.floor_mass.sum()) / factor, 5), "")
-    return blocks.Table(key, title, tuple(columns), foot=foot, top_first=True)
-
-
-def _turning_table(frame: TurningFrame, title: str, units: quantities.Units, key: str) -> blocks.Table:
-    """Tabulate floors and stories that turn, the top first."""
-    columns = [blocks.places(len(frame.floor_mass), "floor / story", "floor")]
-    for name, unit, values, std in frame.columns:
+    turns = isinstance(frame, TurningFrame)
+    plain = (
+        (name, unit, getattr(frame, name), getattr(frame, f"{name}_std"))
+        for name, unit in results.UNITS_OF_FRAME.items()
+    )
+    for name, unit, values, std in frame.columns if isinstance(frame, TurningFrame) else plain:
         known = {"kg": units.of_mass, "N/m": units.of_stiffness}.get(unit)
         factor, shown = known(values.tolist()) if known else quantities.fitting(values.tolist(), unit)
-        head = f"{name.removeprefix('story_').removeprefix('floor_').replace('_', ' ')}, {shown}"
-        texts = tuple(_column(values, std, factor))
-        columns.append(
-            blocks.Column(head, texts, name=name, values=tuple(values.tolist()), std=tuple(std.tolist()), unit=unit)
+        at_bound = frame.stopped(name)
+        texts = (
+            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
+            for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         )
-    return blocks.Table(key, title, tuple(columns), top_first=True)
+        head = f"{name.removeprefix('story_').removeprefix('floor_').replace('_', ' ')}, {shown}"
+        columns.append(blocks.exact(name, values, np.where(at_bound, np.nan, std), unit, head, texts))
+    factor, _ = units.of_mass(frame.floor_mass.tolist())
+    foot = ("sum", quantities.significant(float(frame.floor_mass.sum()) / factor, 5), "")
+    return blocks.Table(key, title, tuple(columns), foot=() if turns else foot, top_first=True)
 
 
-def _narrow(table: blocks.Table) -> list[blocks.Table]:
-    """Divide the table of floors that turn into floors and stories, so that each is as wide as a page."""
-    first, *others = table.columns
-    of_stories = [each for each in others if each.name.startswith(("story_stiffness_", "stiffness_center"))]
-    if not of_stories:
-        return [table]
-    of_floors = [each for each in others if each not in of_stories]
-    floors = dataclasses.replace(table, columns=(dataclasses.replace(first, head="floor"), *of_floors))
-    stories = (dataclasses.replace(first, head="story", name="story"), *of_stories)
-    return [floors, dataclasses.replace(table, key=f"{table.key}-stories", title="Its stories", columns=stories)]
-
-
-def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
+def turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
     """State what data of floors that turn leave open, and what tells it."""
     if not isinstance(frame, TurningFrame):
         return
@@ -212,22 +181,12 @@ def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
 def frames_table(result: results.Identification) -> blocks.Table:
     """Tabulate the frames of all parts for programs, each part by the name of its configuration."""
     tables = [frame_table(part.frame, "", quantities.AUTOMATIC) for part in result.parts]
-    names = [part.name for part in result.parts for _ in part.frame.floor_mass]
-    columns = (
-        []
-        if len(result.parts) == 1
-        else [blocks.Column("configuration", tuple(names), name="configuration", values=tuple(names))]
-    )
-    columns += [
-        blocks.Column(
-            same[0].head,
-            name=same[0].name,
-            values=tuple(value for each in same for value in each.values),
-            std=None if same[0].std is None else tuple(value for each in same for value in each.std or ()),
-            unit=same[0].unit,
-        )
-        for same in zip(*(each.columns for each in tables), strict=True)
-    ]
+    names = tuple(part.name for part in result.parts for _ in part.frame.floor_mass)
+    columns = [blocks.Column("configuration", names, name="configuration", values=names)] if len(tables) > 1 else []
+    for same in zip(*(each.columns for each in tables), strict=True):
+        values = (value for each in same for value in each.values)
+        std = np.concatenate([each.std or () for each in same]) if same[0].std else None
+        columns.append(blocks.exact(same[0].name, values, std, same[0].unit, same[0].head))
     return blocks.Table("frame", "Identified frame", tuple(columns))
 
 
@@ -243,16 +202,13 @@ def frequencies_table(experiment: Experiment, predictions: Iterable[results.Pred
     columns = (
         blocks.Column("configuration", names, words=True, name="configuration", values=names),
         blocks.Column("mode", tuple(map(str, modes)), name="mode", values=modes),
-        _in_hertz("measured", measured),
-        _in_hertz("model", model),
-        blocks.Column("error", tuple(quantities.percents(errors, sign=True)), name="relative_error", values=errors),
+        *(
+            blocks.exact(name, each, None, "Hz", f"{name}, Hz", (quantities.significant(value, 5) for value in each))
+            for name, each in (("measured", measured), ("model", model))
+        ),
+        blocks.exact("relative_error", errors, None, "", "error", quantities.percents(errors, sign=True)),
     )
     return blocks.Table("modes", "Measured and modelled frequencies", columns)
-
-
-def _in_hertz(name: str, values: tuple[float, ...]) -> blocks.Column:
-    texts = tuple(quantities.significant(value, 5) for value in values)
-    return blocks.Column(f"{name}, Hz", texts, name=name, values=values, unit="Hz")
 
 
 def in_one_unit(
@@ -276,20 +232,12 @@ def in_one_unit(
 
 
 def _column(values: Floats, stds: Floats, factor: float) -> list[str]:
-    if np.all(np.isnan(stds)):
-        written = quantities.significants((values / factor).tolist(), 5)
-        return [quantities.UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    fast = ~np.isnan(values) & ~(stds > quantities.NEGLIGIBLE_STD * np.abs(values))
     # A fixed value has no deviation; all fixed values have one format.
-    shown = _short(quantities.significants((values[fast] / factor).tolist(), 5))
-    fast_ones = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
+    fixed = ~np.isnan(values) & ~(stds > quantities.NEGLIGIBLE_STD * np.abs(values))
+    shown = iter(_short(quantities.significants((values[fixed] / factor).tolist(), 5)))
     return [
-        quantities.UNKNOWN
-        if np.isnan(value)
-        else fast_ones[place]
-        if place in fast_ones
-        else quantities.with_std(value, std, factor=factor)
-        for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
+        next(shown) if alone else quantities.with_std(value, std, factor=factor)
+        for value, std, alone in zip(values.tolist(), stds.tolist(), fixed, strict=True)
     ]
 
 
@@ -331,8 +279,7 @@ def _identification(result: results.Identification) -> blocks.Document:
     units = units_for(result.experiment)
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
-    if result.other_frames:
-        sections.append(other_frames_section(result, units))
+    sections.append(other_frames_section(result, units))
     if result.undetermined:
         open_ones = [blocks.Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
         sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
@@ -346,8 +293,10 @@ def _identification(result: results.Identification) -> blocks.Document:
 
 
 def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:
-    """Tabulate the other frames that fit the data, the most probable first."""
-    frames = result.other_frames
+    """Tabulate the other frames that fit the data, the most probable first; without parts if there is none."""
+    title, frames = "Other frames that fit as well", result.other_frames
+    if not frames:
+        return blocks.section("other-frames", title)
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(result.frame.story_stiffness.tolist())
     test = result.others.next_test
@@ -368,7 +317,6 @@ def other_frames_section(result: results.Identification | LoopResult, units: qua
         "chi-square": [quantities.significant(each.chi2, 3) for each in frames],
         "probability": [quantities.percent(each.probability) for each in frames],
     }, words=(0, 1))  # fmt: skip
-    title = "Other frames that fit as well"
     return blocks.section("other-frames", title, blocks.Sentence(warning, "warning"), found)
 
 
@@ -404,8 +352,9 @@ def part_section(
     title = "All configurations together" if result.joint else part.name
     frame = frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}")
     parts = [
-        *_narrow(frame),
-        *_turning_words(part.frame),
+        # A value with its deviation takes half as much again of the width; floors come first, then stories.
+        *frame.folded(2 * blocks.PAGE_COLUMNS // 3),
+        *turning_words(part.frame),
         *_bounds(part),
         *_prices(part, place, units),
         *how_it_ended(part),
@@ -473,9 +422,8 @@ def _fit(part: results.SingleIdentification) -> str:
 
 def _matrix(matrix: Floats, place: int, units: quantities.Units) -> blocks.Table:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
-    head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
-    largest = float(np.max(np.abs(matrix))) / factor
-    # The largest entry is appended to give all rows one format, then removed.
-    written = [quantities.significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
-    rows = ((str(i), *cells) for i, cells in enumerate(written, 1))
-    return blocks.table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
+    cells = np.reshape(quantities.significants((matrix / factor).ravel().tolist(), 5), matrix.shape).tolist()
+    floors = [str(floor) for floor in range(1, len(matrix) + 1)]
+    rows = ((floor, *row) for floor, row in zip(floors, cells, strict=True))
+    title = f"Corrected mass matrix, {unit}"
+    return blocks.table_of_rows(f"mass-matrix-{place}", title, ("floor", *floors), rows)

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import Columns, read_csv
-from cvxshear.io.modes import read_record
+from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files

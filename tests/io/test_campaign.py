@@ -100,7 +100,7 @@ def test_the_same_over_dask(folder, tests):
 def test_progress_counts_records(folder):
     seen = []
     identify_modes_many(
-        [folder / "bare.toml"] * 2, progress=lambda done, total: seen.append((done, total)), method="subspace", count=1
+        [folder / "bare.toml"] * 2, progress=lambda done, total: seen.append((done, total)), method="subspace"
     )
     assert seen == [(1, 2), (2, 2)]
 

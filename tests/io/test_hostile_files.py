@@ -8,7 +8,7 @@ from scipy import io
 
 from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.modes import read_record
+from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import files_of, load
 from cvxshear.util.errors import InputError
 from tests.fuzz import files

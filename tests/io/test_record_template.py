@@ -13,7 +13,8 @@ from scipy import io
 
 from cvxshear.io import formats
 from cvxshear.io.csv import Columns
-from cvxshear.io.modes import modes_from_file, read_record
+from cvxshear.io.modes import modes_from_file
+from cvxshear.io.record_tables import read_record
 from cvxshear.util.errors import InputError
 from tests.fuzz.files import columns
 from tests.records.shared import TWO_STORY_FREQUENCIES, csv, two_story_frf

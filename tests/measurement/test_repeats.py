@@ -243,7 +243,7 @@ def test_the_message_says_what_to_change(keys, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("frequency 1, speed\n1, 2\n", 'column "speed" is none of "frequency 1"'),
+        ("frequency 1, speed\n1, 2\n", 'column "speed" is not one of repeated tests'),
         ("frequency 1, frequency 1\n1, 2\n", 'the column "frequency 1" is there twice'),
         ("shape 1 1, block\n1, 2\n", 'needs a column "frequency 1"'),
         ("frequency 1, frequency 2\n1.0, 2.0\n1.1,\n", "line 3: frequency 2 is empty; leave the test out"),

@@ -91,10 +91,10 @@ def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, capsys):
     assert not result["refused"]
     exchanged = record.read_text().replace("floor = 1", "floor = 9").replace("floor = 2", "floor = 1")
     record.write_text(exchanged.replace("floor = 9", "floor = 2"))
-    status, shown = run_command(capsys, "check", str(record))
-    assert status == 2
+    status, shown = run_command(capsys, "check", str(record), "--strict")
+    assert status == 3
     assert "RECORD: swapped channels" in shown.out
-    assert "MISTAKE: swapped_sensors" in shown.out
+    assert "MISTAKE" not in shown.out
 
 
 def test_each_run_by_itself_ends_in_a_table_over_the_amplitude(tmp_path, capsys):
@@ -135,3 +135,16 @@ def test_a_tone_is_doubted_as_the_first_mode():
     found = identify_modes(record)
     np.testing.assert_allclose(found.frequencies[0], 21.6, rtol=1e-3)
     assert any(each.numbers.get("damping", 1.0) < 1e-3 for each in found.findings if each.kind == "doubtful mode")
+
+
+@pytest.mark.parametrize(("highest", "doubted"), [(5.0, True), (40.0, False)])
+def test_a_first_mode_above_the_excited_band_is_doubted(highest, doubted):
+    """A floor of 10 Hz under noise of the base up to 5 or 40 Hz."""
+    random, rate = np.random.default_rng(4), 100.0
+    base = signal.sosfilt(signal.butter(6, highest, fs=rate, output="sos"), random.standard_normal(12_000))
+    wind = signal.lfilter(*signal.iirpeak(10.0, 30, fs=rate), random.standard_normal(12_000))
+    roof = base + signal.lfilter(*signal.iirpeak(10.0, 30, fs=rate), base) + 0.3 * wind
+    record = TimeRecord((Channel("roof", 1),), runs=(Run(roof[:, None], base),), sampling_rate=rate, input="base")
+    found = [each.numbers for each in identify_modes(record).findings if each.kind == "doubtful mode"]
+    assert bool(found) is doubted
+    assert all(numbers["excited"] < 0.01 for numbers in found)

@@ -5,6 +5,7 @@ from pathlib import Path
 from string import Formatter
 
 import cvxshear
+from cvxshear.records.clocks import FAULT_SIZES
 from cvxshear.records.record import SENTENCES, finding
 from cvxshear.records.result import OVERLOOKED_KIND
 
@@ -37,7 +38,9 @@ def said():
                     key, numbers = node.args
                     words = ({word.arg} if word.arg else keys_of(word.value, named) for word in node.keywords)
                     filled = keys_of(numbers, named).union(*words)
-                    yield key.value if isinstance(key, ast.Constant) else OVERLOOKED_KIND, filled
+                    kinds = FAULT_SIZES if isinstance(key, ast.Attribute) else {OVERLOOKED_KIND: ""}
+                    for kind in [key.value] if isinstance(key, ast.Constant) else kinds:
+                        yield kind, filled | {kinds.get(kind, "")}
 
 
 def test_every_gap_of_every_sentence_is_filled():

@@ -11,7 +11,8 @@ from scipy import io
 import cvxshear
 from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.modes import read_record, write_merged
+from cvxshear.io.modes import write_merged
+from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError
@@ -301,7 +302,7 @@ def test_a_file_that_would_be_refused_is_not_written(tmp_path):
 def test_an_unknown_mass_is_said(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
     write_merged(tmp_path / "out.toml", [IdentifiedRecord("a.toml", given, {})])
-    said = (tmp_path / "out.toml").read_text()
+    said = " ".join((tmp_path / "out.toml").read_text().replace("\n#", " ").split())
     assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in said
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
 

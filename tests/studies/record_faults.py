@@ -38,7 +38,7 @@ NAMED_BY = {
 }
 """Kinds of finding that name each fault."""
 
-ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "drift"}
+ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"drift"}
 INPUTS = ("base", "force", "none", "free_decay")
 
 
@@ -232,7 +232,7 @@ def judged(case: Case, sound: TimeRecord | None = None) -> tuple[str, str]:
     fault is missed and the modes are those of the sound record.
     """
     try:
-        result = identify_modes(case.record, accept_swapped=True)
+        result = identify_modes(case.record)
         findings = result.findings
     except CvxshearError as error:
         named = any(f'"{name}"' in str(error) for name in case.channels)
