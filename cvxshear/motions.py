@@ -66,6 +66,11 @@ class Motions:
         relative = self.relative(np.eye(len(of_stories) * self.count))
         return np.asarray(relative.T @ linalg.block_diag(*of_stories) @ relative)
 
+    def units(self, mass: float, stiffness: float, radius: Floats) -> Floats:
+        """Return the size of every parameter for a typical floor mass and story stiffness, and each floor's radius."""
+        sizes = zip((mass, stiffness), self.lengths, strict=True)
+        return np.concatenate([(size * radius[:, None] ** powers).ravel() for size, powers in sizes])
+
     def loads(self, mass: Floats, position: Floats) -> Floats:
         """Assemble M of a point mass on each floor, shapes (N,) and (N, 2), or (0,) at the reference points."""
         moved = np.zeros((len(mass), 2, self.count))
@@ -106,10 +111,47 @@ THREE_MOTIONS = Motions(
     np.array([_symmetric((*at, 1.0)) for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]),
 )  # fmt: skip
 
+#: The same for floors and stories that are symmetric about the reference point: x, y and rotation are independent.
+SYMMETRIC_MOTIONS = Motions(
+    ("floor_mass", "inertia"),
+    THREE_MOTIONS.mass_basis[[0, 3]],
+    THREE_MOTIONS.stiffness_names[:3],
+    THREE_MOTIONS.stiffness_basis[:3],
+)
+
+
+def symmetric(general: Floats, stories: int) -> Floats:
+    """Take the floors and stories of a frame as symmetric: each about its own center, without coupling of x and y.
+
+    Parameters
+    ----------
+    general : ndarray, shape (10 N,)
+        Parameters of `THREE_MOTIONS`.
+    stories : int
+
+    Returns
+    -------
+    ndarray, shape (5 N,)
+        Parameters of `SYMMETRIC_MOTIONS`.
+    """
+    floors, entries = general[: 4 * stories].reshape(-1, 4), general[4 * stories :].reshape(-1, 6)
+    inertia, rotation = (
+        center(blocks(each, basis))[1]
+        for each, basis in ((floors, THREE_MOTIONS.mass_basis), (entries, THREE_MOTIONS.stiffness_basis))
+    )
+    return np.concatenate(
+        [np.column_stack([floors[:, 0], inertia]).ravel(), np.column_stack([entries[:, :2], rotation]).ravel()]
+    )
+
 
 def blocks(parameters: Floats, basis: Floats) -> Floats:
     """Combine a basis by the parameters of each floor or story, shape (N q,), to matrices of shape (N, d, d)."""
     return np.asarray(np.einsum("fq,qab->fab", parameters.reshape(-1, len(basis)), basis))
+
+
+def entries_of(matrices: Floats) -> Floats:
+    """Read the entries xx, yy, rr, xy, xr and yr of symmetric matrices, shape (..., 3, 3), as one array, flat."""
+    return np.asarray(matrices[..., [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].ravel())
 
 
 def slopes(first: Floats, second: Floats, basis: Floats) -> Floats:

@@ -161,7 +161,7 @@ def test_names_in_tuples_are_seen():
     assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]
 
 
-BUDGET = {"lines of code": 25_820, "modules": 151, "numeric constants": 362, "lines of imports": 1_975}
+BUDGET = {"lines of code": 25_840, "modules": 152, "numeric constants": 350, "lines of imports": 2_000}
 """Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
+from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters
 from cvxshear.effects.composition import compose
 from cvxshear.effects.masses import (
     AddedMass,
@@ -31,10 +32,11 @@ from cvxshear.util.errors import CvxshearError, FaultyEffectError, InputError
 from cvxshear.util.typing import Floats
 
 __all__ = [
-    "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
-    "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling", "Parameter", "Place", "Scale",
-    "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "Wall", "catalogue",
-    "compose", "heights_of", "named", "open_classes", "refuse_faulty", "refuse_repeated", "register",
+    "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "EccentricMass", "EccentricStiffness",
+    "Effect", "Gravity", "GroundSpring", "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling",
+    "Parameter", "Place", "Scale", "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange",
+    "TotalMass", "Wall", "catalogue", "compose", "heights_of", "named", "open_classes", "refuse_faulty",
+    "refuse_repeated", "register",
 ]  # fmt: skip
 
 _catalogue: dict[str, Effect] = {
@@ -43,14 +45,16 @@ _catalogue: dict[str, Effect] = {
         Gravity(), JointRotation(), AxialColumns(), BaseRocking(), Wall(), GroundSpring(), AddedMass(), MassCoupling(),
         SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(), FloorMass(),
         JointRelease(), SoftFeet(), Bracing(), AttachedMass(), LoadMounting(), ShapeScale(), ForceScale(),
-        WrongPrior(), WrongExactPrior(),
+        WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(),
     )
 }  # fmt: skip
+
+_open_classes = (*OPEN_CLASSES, OtherCenters())
 
 
 def open_classes() -> tuple[Effect, ...]:
     """List the open classes: for each statement of the shear model, the violations that the catalogue lacks."""
-    return OPEN_CLASSES
+    return _open_classes
 
 
 def catalogue() -> tuple[Effect, ...]:
@@ -118,7 +122,7 @@ def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
             checks.choice(effect.stage, STAGES, "stage")
             effect.expecting(size=effect.size, probability=effect.probability)
             bound = effect.bound(experiment)
-            places = [] if bound.lacks(experiment) else bound.places(experiment)
+            places = [] if bound.unavailable(experiment) else bound.places(experiment)
             for place in dict.fromkeys((*places[:1], *places[-1:])):
                 _check_at(LocatedEffect(bound.bound_at(experiment, place), place), experiment)
     except FaultyEffectError as error:
@@ -147,8 +151,9 @@ def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
     """Check the parameters at one place, and what the effect does there to a frame of the declared mass near 2 Hz."""
     items, n = placed.effect.parameters, experiment.stories
     each = (experiment.frame.total_mass or 10.0 * n) / n
-    frame = each * np.concatenate([1.0 + 0.2 * np.cos(np.arange(n)), 2000.0 * (1.0 + 0.2 * np.sin(np.arange(n)))])
-    scale = Scale(float(np.mean(frame[:n])), float(np.mean(frame[n:])), heights_of(experiment))
+    frame = experiment.units(each, 2000.0 * each)
+    frame *= 1.0 + 0.2 * np.cos(np.arange(len(frame)))
+    scale = Scale.of(experiment, each, 2000.0 * each)
     sizes = placed.effect.expected_sizes(scale)
     if np.shape(sizes) != (len(items),):
         raise InputError(f"sizes() has the shape {np.shape(sizes)}, not ({len(items)},)")
@@ -172,16 +177,16 @@ def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
 
 def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, null: Floats, steps: Floats) -> None:
     """Check the matrices at some parameters and at null, and their derivatives."""
-    n, tested = experiment.stories, next(each for each in experiment.tested if placed.acts_on(each))
+    first, tested = experiment.parameters, next(each for each in experiment.tested if placed.acts_on(each))
 
     def matrices(state: State) -> dict[str, Floats]:
         return {"M": state.system.M, "K": state.system.K, "the observation": state.observation.matrix}
 
-    plain, values = compose(experiment, tested, [], at), at[2 * n :].copy()
+    plain, values = compose(experiment, tested, [], at), at[first:].copy()
     for array in (*vars(plain).values(), plain.system.M, plain.system.K, values):
         if isinstance(array, np.ndarray):
             array.flags.writeable = False
-    placed.effect.apply(plain, placed.place, values, slice(2 * n, len(at)))
+    placed.effect.apply(plain, placed.place, values, slice(first, len(at)))
     state = compose(experiment, tested, [placed], at)
     square = (len(state.system.K),) * 2
     for name, shape in (("M", square), ("K", square), ("dM", (len(at), *square)), ("dK", (len(at), *square))):
@@ -190,13 +195,13 @@ def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, n
             raise InputError(f"{name} has the shape {found.shape} after apply(), not {shape}")
         if not np.allclose(found, np.swapaxes(found, -1, -2)):
             raise InputError(f"{name} is not symmetric after apply()")
-    if len(state.system.K) == n:
+    if len(state.system.K) == len(plain.system.K):
         before = matrices(plain)
         for name, value in matrices(compose(experiment, tested, [placed], null)).items():
             if not np.allclose(value, before[name]):
                 raise InputError(f"{name} is not that of the shear frame at the null values")
     rng, where = np.random.default_rng(20), placed.place.describe() or "its place"
-    for word, part in (("its own parameters", slice(2 * n, None)), ("masses and stiffnesses", slice(0, 2 * n))):
+    for word, part in (("its own parameters", slice(first, None)), ("masses and stiffnesses", slice(0, first))):
         direction = np.zeros(len(at))
         direction[part] = checks.DIFFERENCE_STEP * (steps * rng.standard_normal(len(at)))[part]
         up, down = (matrices(compose(experiment, tested, [placed], at + sign * direction)) for sign in (1.0, -1.0))

@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util import checks, errors, quantities
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Place(InJson):
         then the errors of the residuals of this statement, in standard deviations.
     test : str or None
         Configuration of the state, if the effect is present in this configuration only.
+    part : str or None
+        Part of a floor or story that turns, in words: a direction, "in x"; a side, "in x at y > 0"; a sensor.
     """
 
     floor: int | None = None
@@ -71,8 +73,13 @@ class Place(InJson):
     to: int | None = None
     prior: str | None = None
     test: str | None = None
+    part: str | None = None
 
     json_keys = "floor to story configuration prior"
+
+    def to_dict(self) -> Json:
+        """Return the documented JSON; the part only if there is one."""
+        return super().to_dict() | ({} if self.part is None else {"part": self.part})
 
     def describe(self) -> str:
         """Describe the place, such as "floor 3 of test 2"; empty if the effect has no particular place."""
@@ -83,6 +90,8 @@ class Place(InJson):
             parts.append(f"floor {self.floor}" if self.floor else "the base")
         if self.story is not None:
             parts.append(f"story {self.story}")
+        if self.part is not None:
+            parts = [" ".join((*parts, self.part))]
         if self.configuration is not None:
             parts.append(f'"{self.configuration}"')
         if self.prior is not None:
@@ -101,6 +110,11 @@ class Place(InJson):
         return self.state if self.test is None else self.test
 
     @property
+    def spot(self) -> str:
+        """Floor and part of it."""
+        return f"floor {self.floor}{f' {self.part}' if self.part else ''}"
+
+    @property
     def in_state(self) -> str:
         """Phrase such as ' in "after"'; empty for an effect in every state."""
         return "" if self.configuration is None else f' in "{self.configuration}"'
@@ -108,6 +122,8 @@ class Place(InJson):
     def label(self, subject: str) -> str:
         """Return a subject with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
         where = self.describe()
+        if self.part is not None and self.floor is self.story is None:
+            return f"{subject} {where}"
         return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
 
@@ -172,6 +188,8 @@ class Effect(ABC):
         fit begins at its start values.
     uses_heights : bool
         Whether the effect assumes equal story heights if they are not declared.
+    floors_move : tuple of str
+        Floors that it is written for, among "one" (motion a floor) and "three".
     beside : str
         Name of another effect that this one requires; without the other, this one has no influence. Empty if none.
     companion : str
@@ -204,6 +222,7 @@ class Effect(ABC):
     releases: ClassVar[tuple[str, ...]] = ()
     adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False
+    floors_move: ClassVar[tuple[str, ...]] = ("one",)
     beside: ClassVar[str] = ""
     companion: ClassVar[str] = ""
     accompanies: ClassVar[float] = 0.2
@@ -309,6 +328,16 @@ class Effect(ABC):
         if "several states" in self.needs and len(experiment.states) < 2:
             return "several states"
         return ""
+
+    def unavailable(self, experiment: Experiment) -> str:
+        """Return what the experiment lacks, its kind of floors first; empty if the effect can be looked for."""
+        if not self.suits(experiment):
+            return "floors that do not turn" if experiment.frame.turns else "floors that turn"
+        return self.lacks(experiment)
+
+    def suits(self, experiment: Experiment) -> bool:
+        """Whether the effect is written for such floors."""
+        return ("three" if experiment.frame.turns else "one") in self.floors_move
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         """Describe effect, place and size: a clause that can be a sentence of its own.

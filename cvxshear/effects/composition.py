@@ -9,6 +9,7 @@ from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model import FrameSystem, Observation, System, mass_matrix, stiffness_matrix, transformation
+from cvxshear.motions import THREE_MOTIONS, unit_derivatives
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -46,9 +47,11 @@ def compose(
         system = System(M, K, none, none)
     else:
         if acting:
-            _refuse_large(n, size)
+            _refuse_large(n, size, experiment.motions.count)
         system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
     by_stiffness = np.eye(size, len(stiffness), -len(mass))
+    if experiment.frame.turns:
+        stiffness, by_stiffness = (_all_entries(each, n) for each in (stiffness, by_stiffness))
     rows = tested.sensor_rows if experiment.frame.turns and isinstance(tested, Configuration) else np.eye(n)
     state = State(
         experiment=experiment,
@@ -100,6 +103,14 @@ def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, sl
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
+def _all_entries(stiffness: Floats, stories: int) -> Floats:
+    """Write the parameters of stories that turn, in the last axis, as the six entries of each story's matrix."""
+    own = stiffness.reshape(*stiffness.shape[:-1], stories, stiffness.shape[-1] // stories)
+    found = np.zeros((*own.shape[:-1], len(THREE_MOTIONS.stiffness_basis)))
+    found[..., : own.shape[-1]] = own
+    return found.reshape(*stiffness.shape[:-1], found.shape[-1] * stories)
+
+
 def _matrices(experiment: Experiment, tested: Tested, mass: Floats, stiffness: Floats) -> tuple[Floats, Floats]:
     """Assemble M, with the added mass of the test, and K; without rotation by their diagonals alone."""
     motions = experiment.motions
@@ -110,9 +121,9 @@ def _matrices(experiment: Experiment, tested: Tested, mass: Floats, stiffness: F
     return motions.masses(mass) + added, motions.stiffnesses(stiffness)
 
 
-def _refuse_large(stories: int, size: int) -> None:
+def _refuse_large(stories: int, size: int, motions: int) -> None:
     """Raise `UnsuitableError` if the derivatives of a frame with effects would not fit into memory."""
-    needed = 2 * size * stories**2 * 8
+    needed = 2 * size * (motions * stories) ** 2 * 8
     if needed > MEMORY:
         raise UnsuitableError(
             f"effects in a frame of {stories} stories need {needed / 1e9:.1f} GB for derivatives; up to "
@@ -129,6 +140,12 @@ def _assembled(state: State) -> State:
     Structural Analysis). Joints of flexibility s resist a rotation with 1 / s. The rotations are condensed out (Guyan
     1965): K = K_uu - K_ut S (1 + K_tt S)^-1 K_ut', which stays finite for rigid joints.
     """
+    if state.experiment.frame.turns:
+        _, dK = unit_derivatives(THREE_MOTIONS, state.experiment.stories)
+        by_entries = dK[-len(state.story_stiffness) :]
+        return state.with_stiffness(
+            THREE_MOTIONS.stiffnesses(state.story_stiffness), summed(state.d_story_stiffness, by_entries)
+        )
     T = transformation(len(state.story_stiffness))
     if not (state.joint_flexibility.any() or state.d_joint_flexibility.any()):
         return state.with_stiffness(

@@ -10,8 +10,10 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place, shown_states
 from cvxshear.effects.state import Scale, State
+from cvxshear.measurement.configuration import Configuration
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model import System
+from cvxshear.motions import THREE_MOTIONS
 from cvxshear.priors import Constraints
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
@@ -53,9 +55,10 @@ class AddedMass(Effect):
 
     name = "added_mass"
     summary = "In one state, or one test of it, a floor carries more or less mass than was declared."
-    formula = "M + mass e_j e_j' in one state, or one test of it"
+    formula = "M + mass e_j e_j' in one state, or one test of it; of floors that turn, at (x, y) of the floor"
     source = "rigid mass at floor j"
     stage = "mass"
+    floors_move = ("one", "three")
     parameters = (Parameter("mass", "kg"),)
     usual, usual_in = 0.15, "floor_mass"
     says = "floor {place.floor} carries {size} {word}{place.in_state} than declared"
@@ -77,7 +80,23 @@ class AddedMass(Effect):
     def weight(self, place: Place, experiment: Experiment) -> float:
         return 1.0 if place.test is None else 1.0 / 3.0
 
+    def bound_at(self, experiment: Experiment, place: Place) -> Effect:
+        """Make a copy with the position as two further parameters, uniform over the plan, if the floors turn."""
+        if not experiment.frame.turns:
+            return self
+        sides = zip("xy", experiment.half_plan[place.floor_index].tolist(), strict=True)
+        return self.having([*self.parameters, *(Parameter(axis, "m", -half, half) for axis, half in sides)])
+
+    def sizes(self, scale: Scale) -> Floats:
+        return np.concatenate([super().sizes(scale)[:1], np.full(len(self.parameters) - 1, np.inf)])
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        at = [f"{axis} = {with_std(x, dx, 'm')}" for axis, x, dx in zip("xy", values[1:], std[1:], strict=False)]
+        return super().phrase(place, values, std, scale, units) + (f", at {' and '.join(at)}" if at else "")
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        if state.experiment.frame.turns:
+            return _with_mass_at(state, place.floor_index, values, own)
         return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
@@ -88,9 +107,24 @@ class AddedMass(Effect):
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         at = place.floor_index
         declared = [each.added_mass[at] for each in experiment.tested if LocatedEffect(self, place).acts_on(each)]
-        row = np.zeros(2 * experiment.stories + 1)
-        row[at] = row[-1] = -1.0
+        size = experiment.parameters
+        row = np.zeros(size + len(self.parameters))
+        row[at * len(experiment.motions.mass_names)] = row[size] = -1.0
         return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))
+
+
+def _with_mass_at(state: State, floor: int, values: Floats, own: slice) -> State:
+    """Add a mass at (x, y) of a floor that turns, counted from 0."""
+    mass, x, y = values.tolist()
+    moved, by_x, by_y = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]), np.zeros((2, 3)), np.zeros((2, 3))
+    by_x[1, 2], by_y[0, 2] = 1.0, -1.0
+    at = slice(3 * floor, 3 * floor + 3)
+    M, dM = state.system.M.copy(), state.system.dM.copy()
+    M[at, at] += mass * moved.T @ moved
+    dM[own.start, at, at] += moved.T @ moved
+    for row, slope in enumerate((by_x, by_y), own.start + 1):
+        dM[row, at, at] += mass * (slope.T @ moved + moved.T @ slope)
+    return state.with_mass(M, dM)
 
 
 class StateMass(Effect):
@@ -108,6 +142,7 @@ class StateMass(Effect):
     formula = "m_i (1 + e) for every floor i, in one state"
     source = "one factor on the floor masses"
     stage = "mass"
+    floors_move = ("one", "three")
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
     says = 'all floors of "{place.state}" are {size} {word}'
     words = HEAVIER
@@ -168,7 +203,14 @@ def on_floors(floors: Sequence[int], stories: int) -> Floats:
 
 
 def _all_heavier(state: State, part: float, own: slice) -> State:
-    """Multiply all floor masses by 1 + part."""
+    """Multiply all floor masses by 1 + part; of floors that turn, their matrices."""
+    if state.experiment.frame.turns:
+        test = state.tested
+        assert isinstance(test, Configuration)
+        own_mass = state.system.M - THREE_MOTIONS.loads(test.added_mass, test.added_mass_position)
+        dM = (1.0 + part) * state.system.dM
+        dM[own] += own_mass
+        return state.with_mass(state.system.M + part * own_mass, dM)
     at = np.arange(len(state.floor_mass))
     M, dM = state.system.M.copy(), state.system.dM.copy()
     M[at, at] += part * state.floor_mass

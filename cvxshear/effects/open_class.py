@@ -91,6 +91,10 @@ def named_pair(i: int, j: int) -> str:
     return f"floors {i} and {j}" if i else f"the ground and floor {j}"
 
 
+#: Motions of floors that turn, in words behind the name of a floor or story.
+WAYS = (" in x", " in y", " in rotation")
+
+
 class OtherStiffness(OpenClass):
     """K + sum of s_ij d_ij d_ij' over all pairs of levels that no story joins, d_ij = e_j - e_i, e_0 = 0.
 
@@ -105,17 +109,25 @@ class OtherStiffness(OpenClass):
     formula = "K + sum of s_ij d_ij d_ij', d_ij = e_j - e_i, over the pairs of levels at least two apart"
     source = "every symmetric matrix is a network of springs between all pairs of its nodes and the ground"
     stage = "spring"
+    floors_move = ("one", "three")
     usual, usual_in = 0.02, "story_stiffness"
     holds_in_words = "that only neighboring floors are tied to each other"
     place_in_words = "something that the catalogue does not hold ties"
     never_negative = "spring"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        return [Parameter(named_pair(i, j), "N/m") for i, j in pairs(experiment.stories, ground=True)]
+        parts = WAYS if experiment.frame.turns else ("",)
+        ties = pairs(experiment.stories, ground=True)
+        return [Parameter(f"{named_pair(i, j)}{part}", "N/m") for part in parts for i, j in ties]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        stories = len(state.floor_mass)
-        return state.plus_stiffness(values, unit_springs(pairs(stories, ground=True), stories), own)
+        n, experiment = len(state.heights), state.experiment
+        units = unit_springs(pairs(n, ground=True), n)
+        if experiment.frame.turns:
+            # Rotations at the radius of gyration, so that all springs are in N/m.
+            each = [1.0, 1.0, float(np.mean(experiment.radius)) ** 2]
+            units = np.concatenate([np.kron(units, np.diag(each * axis)) for axis in np.eye(3)])
+        return state.plus_stiffness(values, units, own)
 
 
 class OtherInertia(OpenClass):
@@ -185,6 +197,7 @@ class OtherChanges(OpenClass):
     formula = "k_i (1 + c_i) for every story i, in one state"
     source = "a repair, a rebuilt frame, another day: each story by itself"
     stage = "story"
+    floors_move = ("one", "three")
     usual = 0.1
     probability = 0.01
     sits_at = ("state",)
@@ -193,9 +206,19 @@ class OtherChanges(OpenClass):
     place_in_words = "what changed most is"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        return [Parameter(f"story {i}", "", lower=-0.99) for i in range(1, experiment.stories + 1)]
+        parts = WAYS if experiment.frame.turns else ("",)
+        stories = range(1, experiment.stories + 1)
+        return [Parameter(f"story {i}{part}", "", lower=-0.99) for i in stories for part in parts]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        if state.experiment.frame.turns:
+            k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+            diagonal = np.flatnonzero(np.tile(np.arange(6) < 3, len(state.heights)))
+            whole, d_whole = state.column_stiffness[diagonal], state.d_column_stiffness[:, diagonal]
+            k[diagonal] += values * whole
+            dk[:, diagonal] += values * d_whole
+            dk[own, diagonal] += np.diag(whole)
+            return state.having(story_stiffness=k, d_story_stiffness=dk)
         for at, change in enumerate(values):
             state = with_changed_story(state, at, float(change), own.start + at)
         return state
@@ -282,6 +305,7 @@ class _LessAccurate(OpenClass):
     """
 
     stage = "shape"
+    floors_move = ("one", "three")
     probability = 0.01
     rescales = True
     usual = 1.0

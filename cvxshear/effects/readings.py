@@ -1,5 +1,6 @@
 """Errors of sensor readings and of declared statements."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Self
 
@@ -8,7 +9,7 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.declaration import StaticTest
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.priors import Constraints, Prior
 from cvxshear.priors.base import QUANTITY_UNITS
 from cvxshear.util import quantities, ranking
@@ -30,26 +31,44 @@ class SensorGain(Effect):
     formula = "measured phi_j = (1 + g) phi_j"
     source = "calibration error of one sensor"
     stage = "shape"
+    floors_move = ("one", "three")
     parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
-    says = "the sensor at floor {place.floor} reads {size} {word}{place.in_state}"
+    says = "the sensor at {place.spot} reads {size} {word}{place.in_state}"
     words = ("too much", "too little")
     usual = 0.05
     sits_at = ("floor", "state")
 
     def places(self, experiment: Experiment) -> list[Place]:
-        seen: dict[int, dict[str, None]] = {}
+        seen: dict[Place, dict[str, None]] = {}
         for each in experiment.configurations:
-            for floor, entries in zip(each.measured_floors.tolist(), each.measured.T, strict=True):
+            for at, entries in zip(_sensors(each), each.measured.T, strict=True):
                 if entries.any():
-                    seen.setdefault(floor, {})[each.state] = None
-        everywhere = [Place(floor=floor) for floor in sorted(seen)]
+                    seen.setdefault(at, {})[each.state] = None
+        everywhere = sorted(seen, key=lambda at: at.floor_index)
         return everywhere + [
-            Place(floor=floor, state=state) for floor in sorted(seen) if len(seen[floor]) > 1 for state in seen[floor]
+            dataclasses.replace(at, state=state) for at in everywhere if len(seen[at]) > 1 for state in seen[at]
         ]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        observation = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
-        return state.having(observation=observation)
+        row = place.floor_index
+        if state.experiment.frame.turns:
+            sensors = _sensors(state.tested)
+            here = Place(floor=place.floor, part=place.part)
+            if here not in sensors:
+                return state
+            row = sensors.index(here)
+        return state.having(observation=state.observation.scaled(row, 1.0 + values[0], own.start))
+
+
+def _sensors(tested: Tested) -> list[Place]:
+    """List the floor of each entry of a shape; where floors turn, with direction and position of its sensor."""
+    assert isinstance(tested, Configuration)
+    if not tested.sensors:
+        return [Place(floor=floor) for floor in tested.measured_floors.tolist()]
+    return [
+        Place(floor=each.floor, part="at ({:g}, {:g}) m along {:g} degrees".format(*each.position, each.direction))
+        for each in tested.sensors
+    ]
 
 
 class ShapeScale(Effect):

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model import Observation, System
+from cvxshear.motions import ONE_MOTION, Motions
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-#: Order of the effects on a tested state, independent of the order of their names: the braces' part of the stories, the
-#: story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added
-#: flexibility of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses,
-#: and the sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility.
+#: Order of the effects on a tested state, independent of the order of their names: the centers of floors and stories
+#: that turn, the braces' part of the stories, the story stiffnesses, the joints between columns and beams, the
+#: differences of the beams between floors, added flexibility of the frame, added springs, masses, the weight of these
+#: masses, the coupling of masses, attached masses, and the sensors' readings of the shapes. The stiffness matrix is
+#: assembled before the flexibility.
 STAGES = (
-    "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
+    "center", "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment",
+    "shape",
 )  # fmt: skip
 
 
@@ -30,11 +33,33 @@ class Scale:
         Means, kg and N/m.
     heights : ndarray, shape (N,)
         Story heights, m; ones if not declared.
+    radius : ndarray, shape (N,), optional
+        Radii of gyration of floors that turn, m. Default: 1 m.
+    motions : Motions, optional
     """
 
     floor_mass: float
     story_stiffness: float
     heights: Floats
+    radius: Floats = field(default_factory=lambda: np.ones(1))
+    motions: Motions = ONE_MOTION
+
+    @staticmethod
+    def of(experiment: Experiment, floor_mass: float, story_stiffness: float) -> Scale:
+        """Take heights, radii and motions from an experiment."""
+        heights, radius = heights_of(experiment), experiment.radius
+        return Scale(float(floor_mass), float(story_stiffness), heights, radius, experiment.motions)
+
+    @property
+    def mean_radius(self) -> float:
+        """Mean of the radii, m."""
+        return float(np.mean(self.radius))
+
+    @property
+    def units(self) -> Floats:
+        """Size of every parameter of a frame of such floors and stories."""
+        radius = np.broadcast_to(self.radius, len(self.heights))
+        return self.motions.units(self.floor_mass, self.story_stiffness, radius)
 
     @property
     def sway(self) -> float:
@@ -52,7 +77,9 @@ def heights_of(experiment: Experiment) -> Floats:
 class State:
     """Tested state of the frame during the application of effects, with derivatives by all P parameters of the fit.
 
-    The parameters are the N floor masses, the N story stiffnesses, and then the effects' own.
+    The parameters are the N floor masses, the N story stiffnesses, and then the effects' own. Of floors that turn, they
+    are those of `experiment.motions`, and the arrays `story_stiffness` and `d_story_stiffness` have the six entries xx,
+    yy, rr, xy, xr and yr of each story's matrix, shapes (6 N,) and (P, 6 N).
 
     Parameters
     ----------
@@ -126,7 +153,7 @@ class State:
         return self._plus("M", values, units, own)
 
     def _plus(self, name: str, values: Floats, units: Floats, own: slice) -> State:
-        units, n = np.asarray(units), len(self.floor_mass)
+        units, n = np.asarray(units), len(self.heights) * self.experiment.motions.count
         if units.shape != (len(values), n, n):
             raise ValueError(f"units has the shape {units.shape}, not {(len(values), n, n)}")
         return self.having(system=self.system.plus(name, np.asarray(values), units, own))

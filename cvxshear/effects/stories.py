@@ -1,5 +1,6 @@
 """Stories, their braces and their joints."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Self
 
@@ -8,6 +9,7 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place, without_sign
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.motions import entries_of
 from cvxshear.util.typing import Floats
 
 
@@ -24,16 +26,23 @@ class StoryChange(Effect):
 
     name = "story_change"
     summary = "One story is softer or stiffer in one state than in the others: damage, a repair, a joint that loosened."
-    formula = "k_i (1 + change) in one state"
+    formula = "k_i (1 + change) in one state; of floors that turn, K_s + change k_x d d', d = (1, 0, -y), likewise in y"
     source = "change of one story's columns or joints between tests"
     stage = "story"
+    floors_move = ("one", "three")
     parameters = (Parameter("change", "", lower=-0.99, upper=99.0),)
     sits_at = ("story", "state")
     needs = ("several states",)
     usual = 0.25
 
+    def places(self, experiment: Experiment) -> list[Place]:
+        parts = (None, *SIDES) if experiment.frame.turns else (None,)
+        return [dataclasses.replace(at, part=part) for at in super().places(experiment) for part in parts]
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.story is not None
+        if state.experiment.frame.turns:
+            return with_changed_side(state, place.story - 1, place.part, values[0], own.start)
         return with_changed_story(state, place.story - 1, values[0], own.start)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
@@ -42,13 +51,60 @@ class StoryChange(Effect):
 
     def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
         assert place.story is not None
-        return place.story, "its columns"
+        return None if place.part else (place.story, "its columns")
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = without_sign(values[0], std[0])
+        part = f" {place.part}" if place.part else ""
         if values[0] > 0:
-            return f"story {place.story} is {size} stiffer{place.in_state}"
-        return f"story {place.story} lost {size} of its stiffness{place.in_state}"
+            return f"story {place.story} is {size} stiffer{part}{place.in_state}"
+        return f"story {place.story} lost {size} of its stiffness{part}{place.in_state}"
+
+
+#: Parts of a story that turns: a direction, and the side of the plan on which its members resist in that direction,
+#: both sides alike or one. In words, with the axis and the sides' signs.
+SIDES: dict[str, tuple[int, tuple[float, ...]]] = {
+    "in x": (0, (1.0, -1.0)),
+    "in y": (1, (1.0, -1.0)),
+    "in x at y > 0": (0, (1.0,)),
+    "in x at y < 0": (0, (-1.0,)),
+    "in y at x > 0": (1, (1.0,)),
+    "in y at x < 0": (1, (-1.0,)),
+}
+
+
+def with_changed_side(state: State, at: int, part: str | None, change: float, parameter: int) -> State:
+    """Change a story that turns: its whole matrix, or its members in one direction at the edges of the plan.
+
+    Parameters
+    ----------
+    state : State
+    at : int
+        Index of the story, counted from 0.
+    part : str or None
+        Of `SIDES`; None for the whole matrix.
+    change : float
+        Share of the story's stiffness in that direction.
+    parameter : int
+        Row of the derivatives by the change.
+    """
+    k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+    own = slice(6 * at, 6 * at + 6)
+    # Changes add up, so that an open class of changes can be replaced by its causes.
+    whole, d_whole = state.column_stiffness[own], state.d_column_stiffness[:, own]
+    if part is None:
+        unit, d_unit = whole, d_whole
+    else:
+        axis, signs = SIDES[part]
+        edges = np.array(signs) * state.experiment.half_plan[at, 1 - axis]
+        members = np.zeros((len(edges), 3))
+        members[:, axis], members[:, 2] = 1.0, edges if axis else -edges
+        shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(-1, 6).mean(axis=0)
+        unit, d_unit = whole[axis] * shape, d_whole[:, axis, None] * shape
+    k[own] += change * unit
+    dk[:, own] += change * d_unit
+    dk[parameter, own] += unit
+    return state.having(story_stiffness=k, d_story_stiffness=dk)
 
 
 def with_changed_story(state: State, at: int, change: float, parameter: int) -> State:
@@ -97,6 +153,7 @@ class StateStiffness(Effect):
     formula = "k_i (1 + e) for every story i, in one state"
     source = "one factor on the elastic modulus of the frame"
     stage = "story"
+    floors_move = ("one", "three")
     parameters = (Parameter("e", "", lower=-0.99, upper=99.0),)
     says = 'all stories of "{place.state}" are {size} {word}'
     words = ("stiffer", "softer")

@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place, shown_states
-from cvxshear.effects.state import Scale, State
+from cvxshear.effects.state import Scale, State, summed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model import transformation
+from cvxshear.motions import THREE_MOTIONS, entries_of, unit_derivatives
 from cvxshear.util.quantities import per_force, scaled, significant, with_std
 from cvxshear.util.typing import Floats
 
@@ -38,22 +39,33 @@ class Gravity(Effect):
         "Clough and Penzien, Dynamics of Structures, geometric stiffness: linear (1) and consistent cubic (6/5) shape"
     )
     stage = "gravity"
+    floors_move = ("one", "three")
     parameters = (Parameter("gamma", "", lower=1.0, upper=1.2, null=0.0, start=1.1),)
     needs = ("heights",)
     probability = 0.5
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        gamma = values[0]
-        system = state.system
-        T = transformation(len(state.heights))
-        g = state.experiment.frame.gravity
-        # Mass at and above each floor: row sums of M, added up from the top.
-        load = g * np.cumsum(system.M.sum(axis=1)[::-1])[::-1]
-        d_load = g * np.cumsum(system.dM.sum(axis=2)[:, ::-1], axis=1)[:, ::-1]
-        unit = (T * (load / state.heights)) @ T.T
-        dK = system.dK - gamma * ((T * (d_load / state.heights)[:, None, :]) @ T.T)
+        gamma, system = values[0], state.system
+        unit, d_unit = (self._softening(state, each) for each in (system.M, system.dM))
+        dK = system.dK - gamma * d_unit
         dK[own] -= unit
         return state.with_stiffness(system.K - gamma * unit, dK)
+
+    def _softening(self, state: State, M: Floats) -> Floats:
+        """Compute T diag(P_i / h_i) T', linear in M: loads follow from the sums of its rows, added up from the top.
+
+        Of floors that turn, each weight softens the columns under it: P_i is then the matrix of the masses above.
+        """
+        heights, g = state.heights, state.experiment.frame.gravity
+        if state.experiment.frame.turns:
+            n = len(heights)
+            loads = M.reshape(*M.shape[:-2], n, 3, n, 3).sum(axis=-2)[..., ::-1, :, :].cumsum(axis=-3)[..., ::-1, :, :]
+            entries = entries_of(g * loads / heights[:, None, None]).reshape(*M.shape[:-2], -1)
+            _, dK = unit_derivatives(THREE_MOTIONS, n)
+            return summed(entries, dK[-6 * n :])
+        T = transformation(len(heights))
+        loads = g * np.cumsum(M.sum(axis=-1)[..., ::-1], axis=-1)[..., ::-1]
+        return np.asarray((T * (loads / heights)[..., None, :]) @ T.T)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return (

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import LocatedEffect, Scale, heights_of
+from cvxshear.effects import LocatedEffect, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
@@ -154,17 +154,22 @@ def domain_of(
     if experiment.frame.turns:
         floors = turning.floor_statements(experiment, frame)
         parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
-        lmi = (
-            *(
-                each.widened(experiment.of_floors, size)
-                for each in turning.positive_floors(experiment, LEAST_POSITIVE * mass)
-            ),
-            *(
-                each.widened(experiment.of_stories, size)
-                for each in turning.positive_stories(experiment, LEAST_POSITIVE * stiffness)
-            ),
-        )
-        scale[:frame_size] = np.maximum(scale[:frame_size], experiment.units(typical_mass, typical_stiffness))
+        units = experiment.units(typical_mass, typical_stiffness)
+        if experiment.symmetric:
+            least = Constraints(lower=np.minimum(LEAST_POSITIVE * units, PART_OF_START * theta[:frame_size]))
+            parts.append(NamedConstraints("what is positive", embedded(least, slice(0, frame_size), size)))
+        else:
+            lmi = (
+                *(
+                    each.widened(experiment.of_floors, size)
+                    for each in turning.positive_floors(experiment, LEAST_POSITIVE * mass)
+                ),
+                *(
+                    each.widened(experiment.of_stories, size)
+                    for each in turning.positive_stories(experiment, LEAST_POSITIVE * stiffness)
+                ),
+            )
+        scale[:frame_size] = np.maximum(scale[:frame_size], units)
     else:
         parts = spread(
             statements(priors, "floor_mass", n, frame, least=mass),
@@ -172,7 +177,7 @@ def domain_of(
             n,
             size,
         )
-    typical = Scale(typical_mass, typical_stiffness, heights_of(experiment))
+    typical = Scale.of(experiment, typical_mass, typical_stiffness)
     for placed, own in slices(effects, frame_size):
         parameters = placed.effect.parameters
         if placed.fixed:
@@ -266,9 +271,9 @@ class EffectPrior:
         if self.scale is None:
             none = np.zeros(0), np.zeros((0, size))
             return none, [], none
-        n = len(self.scale.heights)
         r, slope, keys = np.zeros(size), np.zeros(size), [""] * size
-        at = 2 * n
+        units = self.scale.units
+        at = len(units)
         for placed in effects:
             own = slice(at, at := at + len(placed.effect.parameters))
             if placed.fixed:
@@ -280,22 +285,25 @@ class EffectPrior:
             slope[own] = unit_slope / std
             keys[own] = [placed.label if common else ""] * (own.stop - own.start)
         about = np.flatnonzero(slope)
-        return (r[about], np.diag(slope)[about]), [keys[i] for i in about], self._frame(theta, n)
+        return (r[about], np.diag(slope)[about]), [keys[i] for i in about], self._frame(theta, units)
 
-    def _frame(self, theta: Floats, n: int) -> Rows:
+    def _frame(self, theta: Floats, units: Floats) -> Rows:
         """Compute the logarithms of masses and stiffnesses over their widths, those of stiffnesses about their mean.
 
-        The level of the stiffness has no prior: a first fit of a shear frame to a frame with a wall is several times
+        Inertias count with the masses; of stories that turn, each entry has its own mean. The level of the stiffness
+        has no prior: a first fit of a shear frame to a frame with a wall is several times
         too stiff, and a prior about its level would favor every effect that makes the stories appear stiffer.
         """
         assert self.scale is not None
-        typical = np.repeat([self.scale.floor_mass, self.scale.story_stiffness], n)
-        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)
-        own = theta[: 2 * n]
-        r, slope = np.log(own / typical) / width, np.diag(1.0 / (width * own))
-        r[n:] -= np.mean(r[n:])
-        slope[n:] -= np.mean(slope[n:], axis=0)
-        return r, np.hstack([slope, np.zeros((2 * n, len(theta) - 2 * n))])
+        n, motions = len(self.scale.heights), self.scale.motions
+        floors, entries = n * len(motions.mass_names), len(motions.stiffness_names)
+        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], [floors, n * entries])
+        own = theta[: len(units)]
+        r, slope = np.log(own / units) / width, np.diag(1.0 / (width * own))
+        for entry in range(floors, floors + entries):
+            r[entry::entries] -= np.mean(r[entry::entries])
+            slope[entry::entries] -= np.mean(slope[entry::entries], axis=0)
+        return r, np.hstack([slope, np.zeros((len(own), len(theta) - len(own)))])
 
 
 @dataclass(frozen=True, eq=False)

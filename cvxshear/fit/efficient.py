@@ -10,7 +10,7 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.data import NoiseFactors
-from cvxshear.effects import LocatedEffect, Scale, heights_of
+from cvxshear.effects import LocatedEffect, Scale, compose
 from cvxshear.effects.composition import MEMORY, slices
 from cvxshear.fit import results
 from cvxshear.fit.domain import Domain, Uncertainty, domain_of, null_space, uncertainty
@@ -18,7 +18,7 @@ from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH
 from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
 from cvxshear.fit.start import nearest_first
-from cvxshear.fit.turning_floors import TurningFrame, one_shot_open, reported
+from cvxshear.fit.turning_floors import TurningFrame, general_parameters, one_shot_open, reported
 from cvxshear.measurement.experiment import MOTIONS, Experiment
 from cvxshear.programs import ActiveConstraint, LeastSquares
 from cvxshear.programs.constraints import refuse_contradicting
@@ -171,7 +171,7 @@ class Estimate:
     def scale(self) -> Scale:
         """Mean floor mass and story stiffness, and the heights."""
         mass, stiffness = self.experiment.levels(self.theta)
-        return Scale(float(mass.mean()), float(stiffness.mean()), heights_of(self.experiment))
+        return Scale.of(self.experiment, mass.mean(), stiffness.mean())
 
     @property
     def frame(self) -> results.IdentifiedFrame:
@@ -185,6 +185,8 @@ class Estimate:
     @property
     def expected_frame(self) -> results.IdentifiedFrame:
         """The frame with its own prior, so that every value is determined."""
+        if self.experiment.frame.turns:
+            return self._turning_frame(self.free_directions, np.zeros((len(self.theta), 0)))
         names = parameter_names(self.experiment, self.effects)
         return self._frame(self.theta, uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std())
 
@@ -196,7 +198,8 @@ class Estimate:
         """
         n = self.experiment.stories
         if self.experiment.frame.turns:
-            return self._turning_frame()
+            left = self.domain.scale[:, None] * left_open(self.misfit, self.theta, self.fit.at)
+            return self._turning_frame(self.uncertainty.reach, left)
         names = parameter_names(self.experiment, self.effects)[: 2 * n]
         # A value on a bound has a standard deviation of rounding size.
         none_left = dict(zip(names, std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n]), strict=True))
@@ -214,13 +217,14 @@ class Estimate:
         frame = self.frame
         return frame.undetermined if isinstance(frame, TurningFrame) else self.uncertainty.null_directions
 
-    def _turning_frame(self) -> TurningFrame:
-        """Return the frame of floors that turn; nan for what the data leave open."""
-        own, tests = slice(0, self.experiment.parameters), self.experiment.configurations
-        directions = self.domain.scale[:, None] * left_open(self.misfit, self.theta, self.fit.at)
+    def _turning_frame(self, spread: Floats, left: Floats) -> TurningFrame:
+        """Return the frame of floors that turn with the effects of all states; nan along what is left open."""
+        tests = self.experiment.configurations
+        bare = tests[0].unloaded("the frame itself")
+        theta, slopes = general_parameters(compose(self.experiment, bare, self.effects, self.theta))
         seen = [any(np.any(each.sensor_rows[:, place::3]) for each in tests) for place in range(len(MOTIONS))]
         unseen = tuple(name for name, sees in zip(MOTIONS, seen, strict=True) if not sees)
-        return reported(self.experiment, self.theta[own], self.uncertainty.reach[own], directions[own], unseen)
+        return reported(self.experiment, theta, slopes @ spread, slopes @ left, unseen)
 
     @property
     def free_directions(self) -> Floats:
@@ -407,7 +411,7 @@ def _fitted_from(misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accu
 
     Nothing else keeps the size of such a direction. Those of the one-shot solution are held first.
     """
-    if misfit.experiment.frame.turns:
+    if misfit.experiment.frame.turns and not misfit.experiment.symmetric:
         held = one_shot_open(misfit.experiment) / domain_of(misfit.experiment, (), theta).scale[:, None]
         held = np.linalg.qr(held)[0]
         while held.size:

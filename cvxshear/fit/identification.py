@@ -15,14 +15,14 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.fit.results import Identification, SingleIdentification
-from cvxshear.fit.start import uniform
+from cvxshear.fit.start import starts, uniform
 from cvxshear.fit.turning_floors import one_shot_turning
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, MatrixInequality
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
-from cvxshear.programs.turning import TurningTest
+from cvxshear.programs.turning import TurningTest, turning_tests
 from cvxshear.util import checks, decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
@@ -144,7 +144,7 @@ def compare_backends(
     InputError
         If a named backend is not installed, or a number is out of range.
     """
-    experiment = opened(experiment)
+    experiment = opened(experiment, turning=True)
     programs, left_out = programs_of(experiment)
     return backends.compare(
         programs, names, repeats=repeats, tolerance=tolerance, experiment=experiment.name, left_out=left_out
@@ -164,21 +164,40 @@ def programs_of(experiment: Measurement) -> tuple[list[BenchmarkProgram], str]:
         Kinds "mass" (Eqs. 5 to 14), "stiffness" (Eqs. 20 to 24) and "one-shot"; "bounded mass" (unless the floor masses
         are declared) and "bounded stiffness", with an active upper bound; "singular stiffness", of the first mode
         alone, where upper bounds determine the answer; "step", of the efficient estimator at a frame of uniform
-        stiffness.
+        stiffness. Of floors that turn: "one-shot", "stiffness", "bounded mass" with an active matrix inequality, and
+        "step" at the solution of the story equations.
     left_out : str
         Why only the last kind exists; empty if all do.
     """
-    experiment = opened(experiment)
+    experiment = dataclasses.replace(opened(experiment, turning=True), symmetric=False)
     separate: list[BenchmarkProgram] = []
     left_out = ""
-    try:
-        for each in experiment.configurations:
-            separate += _programs_of_one(complete_test(experiment, each, "method two-stage"))
-    except errors.UnsuitableError as error:
-        separate, left_out = [], str(error)
-    theta = uniform(experiment)
+    if experiment.frame.turns:
+        for test in turning_tests(experiment):
+            separate += _programs_of_turning(test)
+        theta = starts(experiment)[0]
+    else:
+        try:
+            for each in experiment.configurations:
+                separate += _programs_of_one(complete_test(experiment, each, "method two-stage"))
+        except errors.UnsuitableError as error:
+            separate, left_out = [], str(error)
+        theta = uniform(experiment)
     step = step_program(Misfit(experiment).evaluate(theta), theta, domain_of(experiment, (), theta))
     return [*separate, BenchmarkProgram("step", step, theta)], left_out
+
+
+def _programs_of_turning(test: TurningTest) -> Iterator[BenchmarkProgram]:
+    floors = test.one_shot_masses()
+    masses = backends.get("auto").solve(floors).x
+    stories = test.story_stiffnesses(masses)
+    yield BenchmarkProgram("one-shot", floors, np.zeros(floors.unknowns))
+    yield BenchmarkProgram("stiffness", stories, np.zeros(stories.unknowns))
+    first, *others = floors.lmi
+    # The least eigenvalue of the first floor's matrix, a tenth above that of the answer.
+    raised = first.constant - 1.1 * np.linalg.eigvalsh(first.at(masses))[0] * np.eye(3)
+    held = floors.replace(lmi=(MatrixInequality(first.name, raised, first.slopes), *others))
+    yield BenchmarkProgram("bounded mass", held, np.zeros(floors.unknowns))
 
 
 def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:

@@ -37,7 +37,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     The criterion is the smallest distance over the rivals. Rivals that no such test distinguishes do not count if other
     rivals can be distinguished.
     """
-    if not rivals:
+    if not rivals or accepted.experiment.frame.turns:
         return None
     size = accepted.scale.floor_mass
     masses = sorted({min(part * size, HEAVIEST) for part in PARTS_OF_A_FLOOR})

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg, special
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Scale, heights_of
+from cvxshear.effects import Scale
 from cvxshear.fit import domain, results
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.gauss_newton import HOPELESS
@@ -121,9 +121,9 @@ def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
 def weighed(estimate: Estimate, fits: Sequence[Estimate], searched: str) -> results.OtherFrames:
     """Weigh the frames of an estimate and of `equivalent_fits`."""
     n = estimate.experiment.stories
-    mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta[: 2 * n], 2))
-    prior = domain.EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))
-    frames = [each.theta[: 2 * n] for each in (estimate, *fits)]
+    mass, stiffness = (np.median(part) for part in estimate.experiment.levels(estimate.theta))
+    prior = domain.EffectPrior(Scale.of(estimate.experiment, mass, stiffness))
+    frames = [each.theta[: estimate.experiment.parameters] for each in (estimate, *fits)]
     priors = [np.sum(prior.residuals(each, (), {})[2][0] ** 2) for each in frames]
     shares = special.softmax([-0.5 * (each.chi2 + at) for each, at in zip((estimate, *fits), priors, strict=True)])
     others = [

@@ -18,6 +18,7 @@ from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.effects import State
 from cvxshear.fit.domain import null_space
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced, quality
@@ -25,6 +26,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.motions import THREE_MOTIONS, blocks, center, center_slopes, products
 from cvxshear.programs import ActiveConstraint, LeastSquares, Solution
 from cvxshear.programs.turning import Rows, TurningTest, turning_tests
+from cvxshear.util.quantities import NEGLIGIBLE_STD
 from cvxshear.util.typing import Floats
 
 
@@ -68,7 +70,19 @@ class TurningFrame(IdentifiedFrame):
 
     @property
     def columns(self) -> Iterator[tuple[str, str, Floats, Floats]]:
-        """Name, unit, values and deviations of each quantity with one number for each floor or story, shape (N,)."""
+        """Name, unit, values and deviations of each quantity with one number for each floor or story, shape (N,).
+
+        Coordinates and coupled entries that are zero but for rounding are zero.
+        """
+        mass, stiffness = np.nanmax(self.floor_mass), np.nanmax(self.story_stiffness)
+        radius = float(np.nan_to_num(np.sqrt(np.nanmax(self.inertia) / mass), nan=1.0))
+        sizes = {"kg": mass, "m": radius, "kg m2": mass * radius**2}
+        sizes |= {"N/m": stiffness, "N": stiffness * radius, "N m": stiffness * radius**2}
+        for name, unit, *columns in self._columns():
+            values, std = (np.where(np.abs(each) < NEGLIGIBLE_STD * sizes[unit], 0.0, each) for each in columns)
+            yield name, unit, values, std
+
+    def _columns(self) -> Iterator[tuple[str, str, Floats, Floats]]:
         yield "floor_mass", "kg", self.floor_mass, self.floor_mass_std
         for place, axis in enumerate("xy"):
             yield f"mass_center_{axis}", "m", self.mass_center[:, place], self.mass_center_std[:, place]
@@ -226,6 +240,25 @@ def _propagated(test: TurningTest, of_floors: HeldProgram, of_stories: HeldProgr
     return spread, np.hstack([from_floors, own_stories])
 
 
+def general_parameters(state: State) -> tuple[Floats, Floats]:
+    """Read the parameters of `THREE_MOTIONS` off a state without added mass.
+
+    Returns
+    -------
+    theta : ndarray, shape (10 N,)
+    slopes : ndarray, shape (10 N, P)
+        By the parameters of the fit.
+    """
+    n, system = state.experiment.stories, state.system
+    at = 3 * np.arange(n)
+    floors, d_floors = (
+        np.stack([M[..., at, at], M[..., at + 1, at + 2], -M[..., at, at + 2], M[..., at + 2, at + 2]], axis=-1)
+        for M in (system.M, system.dM)
+    )
+    slopes = np.hstack([d_floors.reshape(len(d_floors), -1), state.d_story_stiffness])
+    return np.concatenate([floors.ravel(), state.story_stiffness]), slopes.T
+
+
 def reported(
     experiment: Experiment, theta: Floats, spread: Floats, directions: Floats, unseen: tuple[str, ...]
 ) -> TurningFrame:
@@ -243,7 +276,7 @@ def reported(
         Motions that no sensor sees.
     """
     n, radius = experiment.stories, experiment.radius[:, None]
-    masses, stiffnesses = theta[experiment.of_floors], theta[experiment.of_stories]
+    masses, stiffnesses = theta[: 4 * n], theta[4 * n :]
     mass_blocks, story_blocks = (
         blocks(masses, THREE_MOTIONS.mass_basis),
         blocks(stiffnesses, THREE_MOTIONS.stiffness_basis),
@@ -265,7 +298,7 @@ def reported(
     slopes[:, 10:, 4:] = center_slopes(story_blocks, THREE_MOTIONS.stiffness_basis)[0]
 
     def changed(by: Floats) -> Floats:
-        floors, stories = by[: 4 * n].reshape(n, 4, -1), by[4 * n :].reshape(n, 6, -1)
+        floors, stories = by[: 4 * n].reshape(n, 4, by.shape[1]), by[4 * n :].reshape(n, 6, by.shape[1])
         return np.asarray(slopes @ np.concatenate([floors, stories], axis=1))
 
     std = np.linalg.norm(changed(spread), axis=2)

@@ -8,13 +8,14 @@ best.
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.effects import Effect, LocatedEffect, Scale, heights_of
+from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.fit import domain, gauss_newton, other_frames
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
@@ -46,13 +47,14 @@ def search_for_effects(
 
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
-    experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
+    experiment, repeated = without_repeated(opened(experiment, turning=True).with_priors(tuple(priors)))
+    experiment = dataclasses.replace(experiment, symmetric=experiment.frame.turns)
     if experiment.stories > TALLEST_SEARCH:
         raise errors.UnsuitableError(
             f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
             "identify the frame without effects"
         )
-    wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
+    wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects, experiment), experiment)
     assumed = hypotheses.assumed_effects(experiment, assume)
     searches = Searches(experiment, wanted, assumed, backends.get(backend))
     found = searches.run()
@@ -133,15 +135,21 @@ class Searches:
     @decorators.cached_property
     def expectation(self) -> domain.EffectPrior:
         """Priors of effects and frame, in units of a typical floor and story of the first fit."""
-        n, theta = self.experiment.stories, self.start.theta
-        mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
-        scale = Scale(float(mass), float(stiffness), heights_of(self.experiment))
+        mass, stiffness = (np.median(each) for each in self.experiment.levels(self.start.theta))
+        scale = Scale.of(self.experiment, mass, stiffness)
         stds = {
             item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
             for item in self.looked_for
             if item.size is not None
         }
         return domain.EffectPrior(scale, stds)
+
+    @decorators.cached_property
+    def general(self) -> Floats | None:
+        """Frame that turns with all of its centers free, without effects; None for other frames."""
+        if not self.experiment.symmetric:
+            return None
+        return efficient(dataclasses.replace(self.experiment, symmetric=False), backends.get("auto")).theta
 
     def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
@@ -184,7 +192,7 @@ class Searches:
 
     def _search(self, numbering: hypotheses.Numbering, theta: Floats) -> Search:
         # Far from the data a full fit may follow an endless curved valley; effects are searched for from there, too.
-        fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
+        fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation, general=self.general)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.noise_inflation)
         return Search(fitter, fitter.fit(misfit, theta, gauss_newton.ROUGH))

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.data.base import numbered
+from cvxshear.data.base import paired
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit import other_frames
 from cvxshear.fit.efficient import Estimate, fitted_with
@@ -105,7 +105,8 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
 
     The most probable effect comes first. All fits use the noise of the last one.
     """
-    what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
+    what = "the symmetric model" if fitter.experiment.symmetric else "the shear model"
+    what += "" if fitter is as_given else ", the modes numbered as given"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
     ways = [(what, order[:0], as_given)]
@@ -134,7 +135,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
         proposal = fitter.proposal(start, wanted)
         misfit = proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
-        by = partial(fitted_with, misfit, proposal.starts[0], accuracy=accuracy)
+        by = partial(fitted_with, misfit, proposal.starts[-1], accuracy=accuracy)
         try:
             return with_stand_in(fitter.backend, by)[0]
         except (errors.NoModesError, errors.NoSolutionError) as error:
@@ -202,7 +203,8 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     configuration = next(each for each in estimate.experiment.configurations if each.name == name)
     state = compose(estimate.experiment, configuration, estimate.effects, rest.theta)
     found = modes(state.system.M, state.system.K)
-    which = numbered(configuration, found, state.system.M)[mask]
+    motions = estimate.experiment.motions.count
+    which = paired(configuration, found, state.observation, state.system.M, motions)[mask]
     gradient = mode_derivatives(found, state.system, which)[0] / (2 * found.eigenvalues[which])
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)

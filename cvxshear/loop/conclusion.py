@@ -85,7 +85,7 @@ def conclude(
         models=tuple(_shown_sets(posterior)),
         averaged=dataclasses.replace(posterior.averaged(), at_bounds=judged.frame.at_bounds),
         candidates=tuple(_candidates(posterior, fits)),
-        not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
+        not_considered={each.name: lack for each in wanted if (lack := each.unavailable(fitter.experiment))},
         remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),
         information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
         next_test=next_test.next_test(judged, rivals) or next_test.next_test(judged, fits.equivalents),
@@ -329,7 +329,6 @@ def _granted_of_bounds(experiment: Experiment) -> Iterator[str]:
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
     """Yield further messages for the reader."""
     experiment, fitter = search.fitter.experiment, search.fitter
-    n = experiment.stories
     if negligible:
         yield (
             "the residual is significant but negligible: frequencies are off by "
@@ -358,6 +357,6 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
         yield "story heights are not declared and taken as equal; lengths count in stories"
     for effect in {item.placed.effect.name: item.placed.effect for item in fitter.hypotheses}.values():
         if effect.name not in {placed.effect.name for placed in final.effects}:
-            said = effect.known_anyway(experiment, final.theta[:n], final.theta[n : 2 * n])
+            said = effect.known_anyway(experiment, *experiment.levels(final.theta))
             if said:
                 yield said

@@ -27,8 +27,10 @@ from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gauss_newton, gaussian
 from cvxshear.fit.efficient import Estimate, fitted
 from cvxshear.fit.misfit import Evaluation, Misfit
+from cvxshear.fit.turning_floors import general_parameters
 from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.motions import THREE_MOTIONS, symmetric
 from cvxshear.programs import LeastSquares, constraints
 from cvxshear.util import errors
 from cvxshear.util.typing import Floats
@@ -82,9 +84,9 @@ class ModelClass:
     def same_optimum(self, other: ModelClass) -> bool:
         """Whether another fit of this set ended at the same frame, within the resolution of the data and priors."""
         mine, theirs = self.estimate, other.estimate
-        n2 = 2 * mine.experiment.stories
-        values = {placed: theirs.theta[own] for placed, own in composition.slices(theirs.effects, n2)}
-        there = np.concatenate([theirs.theta[:n2], *(values[placed] for placed in mine.effects)])
+        size = mine.experiment.parameters
+        values = {placed: theirs.theta[own] for placed, own in composition.slices(theirs.effects, size)}
+        there = np.concatenate([theirs.theta[:size], *(values[placed] for placed in mine.effects)])
         return bool(np.all(np.abs(mine.fit.at.J @ (there - mine.theta)) < SAME_OPTIMUM))
 
 
@@ -97,7 +99,7 @@ class FitProposal:
     effects : tuple of LocatedEffect
         Effects in the order of their parameters, with the assumed ones.
     starts : tuple of ndarray, shape (P,)
-        Starting points: the first one that fits better than the last one is used.
+        Starting points: the best one is used, the last one if no other fits better than `objective`.
     misfit : Misfit
         Misfit with the data and noise of the fit.
     objective : float
@@ -134,6 +136,8 @@ class Fitter:
         depend on the machine.
     base : Estimate or None
         Fit of the set without effects, after this fit was made.
+    general : ndarray, shape (10 N,), or None
+        Frame with a center of its own for every floor and story that turns, fitted without effects.
     """
 
     numbering: Numbering
@@ -147,6 +151,7 @@ class Fitter:
     failures: dict[frozenset[LocatedEffect], errors.CvxshearError] = field(default_factory=dict)
     work: float = 0.0
     base: Estimate | None = None
+    general: Floats | None = None
     _log_odds: dict[LocatedEffect, float] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -174,11 +179,39 @@ class Fitter:
 
     def proposal(self, start: Estimate, effects: Sequence[LocatedEffect], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""
-        n2 = 2 * self.experiment.stories
-        values = {placed: start.theta[own] for placed, own in composition.slices(start.effects, n2)}
+        size = self.experiment.parameters
+        values = {placed: start.theta[own] for placed, own in composition.slices(start.effects, size)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
-        plain = np.concatenate([start.theta[:n2], *own])
+        plain = np.concatenate([start.theta[:size], *own])
+        if self.general is not None and any(placed.place.state is None for placed in effects):
+            more = (*more, self._near_general(self.general, effects, plain))
         return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
+
+    def _near_general(self, general: Floats, effects: Sequence[LocatedEffect], start: Floats) -> Floats:
+        """Find the frame with these effects that is nearest to the general one.
+
+        A symmetric frame may have modes in x and y of almost one frequency. Their derivatives tell nothing of the
+        eccentricity that mixes them.
+        """
+        experiment = self.experiment
+        frame = symmetric(general, experiment.stories)
+        bare = experiment.configurations[0].unloaded("the frame itself")
+        mass, stiffness = (float(np.mean(each)) for each in experiment.levels(frame))
+        size = np.concatenate([experiment.units(mass, stiffness), np.ones(len(start) - len(frame))])
+        size_of_general = THREE_MOTIONS.units(mass, stiffness, experiment.radius)
+
+        def off(x: Floats) -> tuple[Floats, Floats]:
+            theta, slopes = general_parameters(composition.compose(experiment, bare, effects, size * x))
+            return (theta - general) / size_of_general, slopes * size / size_of_general[:, None]
+
+        def residuals(x: Floats) -> Floats:
+            return off(x)[0]
+
+        def derivatives(x: Floats) -> Floats:
+            return off(x)[1]
+
+        nearest = optimize.least_squares(residuals, np.concatenate([frame, start[len(frame) :]]) / size, derivatives)
+        return np.asarray(size * nearest.x)
 
     def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""
@@ -242,15 +275,16 @@ def with_stand_in(
 
 def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     """Choose the starting point; also return the residuals there if they were computed."""
-    *guesses, plain = proposal.starts
+    *guesses, best = proposal.starts
+    objective, there = proposal.objective, None
     for guess in guesses:
         try:
             at = proposal.misfit.evaluate(guess)
         except errors.NoModesError:
             continue
-        if at.objective <= proposal.objective:
-            return guess, at
-    return plain, None
+        if at.objective <= objective:
+            best, objective, there = guess, at.objective, at
+    return best, there
 
 
 def log_evidence(estimate: Estimate, expectation: domain.EffectPrior) -> float:
@@ -279,9 +313,7 @@ def _log_size(estimate: Estimate, expectation: domain.EffectPrior) -> float:
     """Return the sum of the logarithms of masses and stiffnesses in typical units: the prior is on the logarithms."""
     scale = expectation.scale
     assert scale is not None, "evidence needs an expectation"
-    n = estimate.experiment.stories
-    mass, stiffness = estimate.theta[:n] / scale.floor_mass, estimate.theta[n : 2 * n] / scale.story_stiffness
-    return float(np.sum(np.log(mass)) + np.sum(np.log(stiffness)))
+    return float(np.sum(np.log(estimate.theta[: len(scale.units)] / scale.units)))
 
 
 def free_basis(estimate: Estimate, expectation: domain.EffectPrior) -> Floats:
@@ -290,15 +322,15 @@ def free_basis(estimate: Estimate, expectation: domain.EffectPrior) -> Floats:
     The first columns are orthonormal directions of the frame, in units of a typical floor and story. Each parameter of
     the effects then has one column: its own entry is 1, and the frame changes by the least that keeps the equalities.
     """
-    n2 = 2 * estimate.experiment.stories
     size = len(estimate.theta)
     scale = expectation.scale
     assert scale is not None, "evidence needs an expectation"
-    unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
+    unit = scale.units
+    first = len(unit)
     A, _ = _program(estimate).equalities
-    lengths = np.linalg.norm(np.hstack([A[:, :n2] * unit, A[:, n2:]]), axis=1)
+    lengths = np.linalg.norm(np.hstack([A[:, :first] * unit, A[:, first:]]), axis=1)
     A = A / np.where(lengths > 0, lengths, 1.0)[:, None]
-    frame, own = A[:, :n2] * unit, A[:, n2:]
+    frame, own = A[:, :first] * unit, A[:, first:]
     without_frame = np.linalg.norm(frame, axis=1) < 1e-12
     inverse = np.linalg.pinv(frame, rcond=1e-10)
     _, values, right = np.linalg.svd(frame, full_matrices=True)
@@ -307,10 +339,10 @@ def free_basis(estimate: Estimate, expectation: domain.EffectPrior) -> Floats:
     fixed = np.any(np.abs(own[without_frame]) > 0, axis=0)
     parameters = np.flatnonzero(~fixed)
     B = np.zeros((size, open_frame.shape[1] + len(parameters)))
-    B[:n2, : open_frame.shape[1]] = unit[:, None] * open_frame
+    B[:first, : open_frame.shape[1]] = unit[:, None] * open_frame
     for column, parameter in enumerate(parameters, open_frame.shape[1]):
-        B[n2 + parameter, column] = 1.0
-        B[:n2, column] = -unit * (inverse @ own[:, parameter])
+        B[first + parameter, column] = 1.0
+        B[:first, column] = -unit * (inverse @ own[:, parameter])
     return B
 
 
@@ -345,7 +377,6 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     An effect's parameter is limited by its own interval; other rows cut the remaining Gaussian.
     """
     program = _program(estimate)
-    n2 = 2 * estimate.experiment.stories
     value = 0.0
     assert program.lower is not None
     assert program.upper is not None
@@ -354,7 +385,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
     within = B / estimate.domain.interval_std[:, None]
-    together = {p for _, own in composition.slices(estimate.effects, n2) for p in range(own.start, own.stop)}
+    together = set(range(estimate.experiment.parameters, len(B)))
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
     # The standard deviation of a parameter excludes its own interval, which cuts the Gaussian explicitly, and includes
@@ -400,7 +431,7 @@ def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]
 
 def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the parameters with Student's t as prior: place in theta, deviation from null, size, degrees of freedom."""
-    for placed, own in composition.slices(estimate.effects, 2 * estimate.experiment.stories):
+    for placed, own in composition.slices(estimate.effects, estimate.experiment.parameters):
         if placed.fixed or placed.effect.common_size or np.isinf(placed.effect.tail):
             continue
         sizes = estimate.misfit.expectation.of(placed)

@@ -100,7 +100,7 @@ def hypotheses(
     return [
         item
         for effect in (each.bound(experiment) for each in effects)
-        if not effect.lacks(experiment)
+        if not effect.unavailable(experiment)
         for item in _of(effect, experiment)
         if (effect.name, item.placed.place) not in taken
     ]
@@ -146,8 +146,8 @@ def _last(values: Sequence[T], default: T) -> T:
     return values[-1] if values else default
 
 
-def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """List the effects to look for: names or objects; by default the whole catalogue and the open classes.
+def chosen(effects: Sequence[str | Effect] | None, experiment: Experiment) -> tuple[Effect, ...]:
+    """List the effects to look for: names or objects; by default all of the catalogue and the open classes that suit.
 
     The name "open" stands for all open classes.
 
@@ -158,7 +158,7 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
     """
     everything = (*catalogue(), *open_classes())
     if effects is None:
-        return everything
+        return tuple(effect for effect in everything if effect.suits(experiment))
     known = {effect.name: (effect,) for effect in everything} | {OPEN: open_classes()}
     return tuple(
         effect
@@ -204,11 +204,9 @@ def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect
         if isinstance(each, LocatedEffect):
             result.append(each)
             continue
-        effect = chosen([each])[0].bound(experiment)
-        if effect.lacks(experiment):
-            raise errors.InputError(
-                f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
-            )
+        effect = chosen([each], experiment)[0].bound(experiment)
+        if lack := effect.unavailable(experiment):
+            raise errors.InputError(f"effect {each} cannot be assumed: the experiment does not declare {lack}")
         places = effect.places(experiment)
         places = [place for place in places if place == Place()] or places
         if len(places) > 1:
@@ -311,7 +309,8 @@ def _together_or_alone(
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:
     """List the configurations that may have overlooked a mode, with the new modes, unless they name these modes."""
     found = []
-    for each in experiment.configurations:
+    # Modes of floors that turn are paired by their shapes.
+    for each in () if experiment.frame.turns else experiment.configurations:
         moved = tuple(_moved(each.modes, mode).tolist())
         named = any(tuple(other.modes.tolist()) == moved for other in each.other_modes)
         if not named and _may_be_overlooked(each, mode, experiment.stories):
@@ -347,8 +346,13 @@ def _renumbered(experiment: Experiment, changes: Changes) -> Experiment:
 
 
 def few_floors_seen(experiment: Experiment) -> bool:
-    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
-    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well.
+
+    Sensors of floors that turn are at all of them.
+    """
+    return not experiment.frame.turns and not any(
+        2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations
+    )
 
 
 def dual_fits_as_well(experiment: Experiment) -> bool:

@@ -70,21 +70,20 @@ class Linearised:
             first += len(nulls)
         for placed, own in composition.slices(self.candidates, 0):
             if placed.effect.releases:
-                columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
+                columns[:, own] += base.fit.at.J[:, : base.experiment.parameters] @ self._shift(placed)
         return columns
 
     def _shift(self, placed: LocatedEffect) -> Floats:
         """Find the least change of the frame, in typical units, that keeps all equalities with the effect."""
         scale, base = self.expectation.scale, self.base
         assert scale is not None
-        n2 = 2 * base.experiment.stories
-        unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
+        unit = scale.units
         theta = np.concatenate([base.theta, placed.start])
         said = [
             each.constraints.A for each in domain.domain_of(base.experiment, (*base.effects, placed), theta).statements
         ]
         A = np.concatenate([np.zeros((0, len(theta))), *(rows for rows in said if rows is not None)])
-        shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
+        shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, : len(unit)] * unit) @ A[:, len(base.theta) :])
         return shift
 
     @property
@@ -207,7 +206,7 @@ class Linearised:
             if each.effect.releases:
                 own = slice(self._at[each].start, self._at[each].stop)
                 at = [int(np.flatnonzero(columns == i)[0]) for i in range(own.start, own.stop)]
-                theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
+                theta[: self.base.experiment.parameters] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
 
     def in_place_of(self, placed: LocatedEffect, log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
@@ -292,10 +291,9 @@ class Linearised:
         """
         estimate = self.base
         basis = free_basis(estimate, self.expectation)
-        n2 = 2 * estimate.experiment.stories
         owners = [
             placed
-            for placed, own in composition.slices(estimate.effects, n2)
+            for placed, own in composition.slices(estimate.effects, estimate.experiment.parameters)
             if not placed.fixed
             for _ in range(own.start, own.stop)
         ]

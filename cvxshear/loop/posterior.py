@@ -292,16 +292,13 @@ class Posterior:
         weights = self.of_sets * counts if counts.any() else self.of_sets
         frames = [model.estimate.expected_frame for model in self.models]
 
-        def mixture(values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
-            x, s, share = np.array(values), np.array(stds), weights[:, None] / weights.sum()
-            mean = np.sum(share * x, axis=0)
-            return mean, np.sqrt(np.sum(share * (s**2 + (x - mean) ** 2), axis=0))
-
-        mass = mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
-        stiffness = mixture(
-            [frame.story_stiffness for frame in frames], [frame.story_stiffness_std for frame in frames]
-        )
-        return results.IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
+        share = weights / weights.sum()
+        found: dict[str, Floats] = {}
+        for name in (each.name for each in dataclasses.fields(frames[0]) if hasattr(frames[0], f"{each.name}_std")):
+            x, std = (np.array([getattr(frame, key) for frame in frames]) for key in (name, f"{name}_std"))
+            found[name] = np.tensordot(share, x, 1)
+            found[f"{name}_std"] = np.sqrt(np.tensordot(share, std**2 + (x - found[name]) ** 2, 1))
+        return dataclasses.replace(frames[0], at_bounds=(), **found)
 
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:

@@ -487,7 +487,7 @@ def with_companions(fitter: Fitter, best: ModelClass) -> list[tuple[FitProposal,
 
 def _from_starts(proposals: Sequence[tuple[FitProposal, LocatedEffect]], base: Estimate) -> list[FitProposal]:
     """Start each proposal from the frame of the base and from every start of its last effect."""
-    frame = 2 * base.experiment.stories
+    frame = base.experiment.parameters
     return _best_starts(
         [
             dataclasses.replace(

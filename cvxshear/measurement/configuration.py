@@ -583,6 +583,10 @@ class Configuration(InTable):
             row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
         return C
 
+    def unloaded(self, name: str) -> Configuration:
+        """Return a test of a state of its own with the same sensors and no added mass."""
+        return dataclasses.replace(self, name=name, state=name, added_mass=np.zeros(len(self.added_mass)))
+
     @cached_property
     def known_shapes(self) -> Floats:
         """`mode_shapes` with zero for entries that were not measured, shape (m, n)."""

@@ -24,7 +24,7 @@ from cvxshear.measurement.declaration import (
     StaticTest,
     named_in,
 )
-from cvxshear.motions import ONE_MOTION, THREE_MOTIONS, Motions
+from cvxshear.motions import ONE_MOTION, SYMMETRIC_MOTIONS, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks, decorators
 from cvxshear.util.checks import MOST_STORIES
@@ -62,6 +62,8 @@ class Experiment(Shown):
         What a report says of the test: title, client, author, date.
     limits : Limits, optional
         Drift ratios whose passing a reconstruction judges.
+    symmetric : bool, optional
+        Whether floors that turn are taken as symmetric about the reference point: the base model of the loop.
 
     Raises
     ------
@@ -78,6 +80,7 @@ class Experiment(Shown):
     damping: Damping = field(default_factory=Damping)
     report: Heading = field(default_factory=Heading)
     limits: Limits | None = None
+    symmetric: bool = False
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -123,7 +126,7 @@ class Experiment(Shown):
                     "direction of each entry of a shape, in place of measured_floors"
                 )
         if self.frame.turns:
-            for key, given in (("prior", self.priors), ("static", self.static), ("effect", self.expected)):
+            for key, given in (("prior", self.priors), ("static", self.static)):
                 if given:
                     raise InputError(f"[[{key}]] is of frames with one motion per floor; this one turns (motions)")
 
@@ -274,7 +277,9 @@ class Experiment(Shown):
     @property
     def motions(self) -> Motions:
         """The motions of each floor, with the parameters of floors and stories."""
-        return THREE_MOTIONS if self.frame.turns else ONE_MOTION
+        if not self.frame.turns:
+            return ONE_MOTION
+        return SYMMETRIC_MOTIONS if self.symmetric else THREE_MOTIONS
 
     @decorators.cached_property
     def of_floors(self) -> slice:
@@ -312,8 +317,16 @@ class Experiment(Shown):
 
     def units(self, mass: float, stiffness: float) -> Floats:
         """Return the size of every parameter of a frame with a typical floor mass and story stiffness."""
-        sizes = zip((mass, stiffness), self.motions.lengths, strict=True)
-        return np.concatenate([(size * self.radius[:, None] ** powers).ravel() for size, powers in sizes])
+        return self.motions.units(mass, stiffness, self.radius)
+
+    @decorators.cached_property
+    def half_plan(self) -> Floats:
+        """Half the sides of each floor's plan, else the farthest sensors from the reference point, shape (N, 2), m."""
+        if self.frame.plan is not None:
+            return np.broadcast_to(self.frame.plan / 2.0, (self.stories, 2))
+        places = np.array([sensor.position for each in self.configurations for sensor in each.sensors])
+        farthest = np.max(np.abs(places), axis=0)
+        return np.broadcast_to(np.where(farthest > 0, farthest, self.radius[0]), (self.stories, 2))
 
     @property
     def noise_declared(self) -> bool:
@@ -385,8 +398,8 @@ def opened(source: Measurement, *, turning: bool = False) -> Experiment:
     if found.frame.turns and not turning:
         raise UnsuitableError(
             f"the floors of {found.name} turn (frame: motions), and this takes frames with one motion per floor; "
-            "identify (methods efficient and one-shot), programs.one_shot_masses and programs.story_stiffnesses take "
-            "such floors"
+            "identify (methods efficient and one-shot), compare_backends, close_loop, programs.one_shot_masses and "
+            "programs.story_stiffnesses take such floors"
         )
     return found
 

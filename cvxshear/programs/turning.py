@@ -299,7 +299,7 @@ def floor_statements(experiment: Experiment, frame: Frame) -> list[NamedConstrai
         known = each.constraints
         assert known.A is not None
         found.append(NamedConstraints(each.name, Constraints(A=known.A @ floors[:, 0], b=known.b)))
-    if frame.plan is not None:
+    if frame.plan is not None and not experiment.symmetric:
         half = np.broadcast_to(frame.plan, (n, 2)).T[:, :, None] / 2.0
         G = np.concatenate([
             sign * floors[:, 1 + axis] - half[axis] * floors[:, 0] for axis in (0, 1) for sign in (1.0, -1.0)

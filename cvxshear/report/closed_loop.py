@@ -93,9 +93,17 @@ def sway_stiffness(state: State) -> StateValues:
 
 def moving_mass(state: State) -> StateValues:
     """Sum the mass that moves with each floor, kg, without the declared added mass."""
-    n = len(state.story_stiffness)
+    n = len(state.heights)
+    if state.experiment.frame.turns:
+        at = 3 * np.arange(n)
+        return state.system.M[at, at] - state.tested.added_mass, state.system.dM[:, at, at]
     rows, by_parameters = (each[..., :n, :n].sum(axis=-1) for each in (state.system.M, state.system.dM))
     return rows - state.tested.added_mass, by_parameters
+
+
+def _along(axis: int) -> Callable[[State], StateValues]:
+    """Take the stiffness of each story that turns in x (0) or y (1), N/m."""
+    return lambda state: (state.story_stiffness[axis::6], state.d_story_stiffness[:, axis::6])
 
 
 def states_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
@@ -104,8 +112,20 @@ def states_section(result: LoopResult, units: quantities.Units) -> blocks.Sectio
     The changes are those of the verdict's set, and the values they start from those of the averaged frame.
     """
     of_set, averaged = result.frame, result.averaged
-    stiffer, heavier = averaged.story_stiffness / of_set.story_stiffness, averaged.floor_mass / of_set.floor_mass
-    stories = _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness, stiffer)
+    heavier, stiffnesses = averaged.floor_mass / of_set.floor_mass, (averaged.story_stiffness, of_set.story_stiffness)
+    if result.experiment.frame.turns:
+        of_stories = {
+            f"stories-{axis}": (f"Stiffness of each story in {axis}", _along(at), np.divide(*entries))
+            for at, axis in enumerate("xy")
+            for entries in [[each[:, at, at] for each in stiffnesses]]
+        }
+    else:
+        of_stories = {"stories": ("Sway stiffness of each story", sway_stiffness, np.divide(*stiffnesses))}
+    stories = (
+        table
+        for key, (title, quantity, ratio) in of_stories.items()
+        for table in _by_state(result, key, title, quantity, units.of_stiffness, ratio)
+    )
     floors = _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass, heavier)
     return blocks.section("states", "Every story and floor, before and after", *stories, *floors)
 
@@ -140,7 +160,7 @@ def _by_state(
     (_, before), *_ = groups
     factor, unit = unit_of((ratio * before[0]).tolist())
     covariance = estimate.uncertainty.covariance()
-    columns = [blocks.places(len(before[0]), "story" if key == "stories" else "floor")]
+    columns = [blocks.places(len(before[0]), "floor" if key == "floors" else "story")]
     for names, after in groups:
         texts = quantities.significants((ratio * after[0] / factor).tolist(), 5)
         change = after[0] / before[0] - 1.0
@@ -163,8 +183,8 @@ def _alike(one: Floats, other: Floats) -> Bools:
 def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
     """Tabulate the frame averaged over all sets."""
     title = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
-    table = identified.frame_table(result.averaged, title, units)
-    return blocks.section("frame", "The identified frame", table)
+    tables = identified.frame_table(result.averaged, title, units).folded(2 * blocks.PAGE_COLUMNS // 3)
+    return blocks.section("frame", "The identified frame", *tables, *identified.turning_words(result.frame))
 
 
 def effects_section(result: LoopResult) -> blocks.Section:

@@ -106,7 +106,7 @@ def headline(result: LoopResult) -> str:
         within = "exactly, as it has as many parameters as there are data"
     else:
         within = f"within {noise_in_words(result) or 'the stated noise'}"
-    model = "the shear model"
+    model = "the symmetric model" if result.experiment.symmetric else "the shear model"
     if result.assumed:
         model += f" with {listed([placed.label for placed in result.assumed])}"
     said = VERDICTS[result.verdict].says(

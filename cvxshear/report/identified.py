@@ -160,7 +160,7 @@ def frame_table(
     return blocks.Table(key, title, tuple(columns), foot=() if turns else foot, top_first=True)
 
 
-def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
+def turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
     """State what data of floors that turn leave open, and what tells it."""
     if not isinstance(frame, TurningFrame):
         return
@@ -354,7 +354,7 @@ def part_section(
     parts = [
         # A value with its deviation takes half as much again of the width; floors come first, then stories.
         *frame.folded(2 * blocks.PAGE_COLUMNS // 3),
-        *_turning_words(part.frame),
+        *turning_words(part.frame),
         *_bounds(part),
         *_prices(part, place, units),
         *how_it_ended(part),

@@ -132,7 +132,8 @@ def close_loop(
 ) -> LoopResult:
     """Find the physical effects that the shear model lacks.
 
-    The measurement is screened first. A mistake is an error; doubts are `warnings` of the result.
+    The measurement is screened first. A mistake is an error; doubts are `warnings` of the result. Of floors that turn,
+    the model without effects is symmetric about the reference point (`Experiment.symmetric`).
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def close_loop(
     NoSolutionError
         If this backend could not fit the shear model.
     """
-    experiment = opened(experiment)
+    experiment = opened(experiment, turning=True)
     # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})

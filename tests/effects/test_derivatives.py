@@ -153,8 +153,9 @@ def test_beams_of_each_floor_by_themselves(with_others):
 
 def test_every_effect_of_the_catalogue_is_tested():
     """Every effect is tested, except statements about masses and priors, which change no matrix.
-    `tests/loop/test_open_classes.py` tests the forces."""
+    `tests/loop/test_open_classes.py` tests the forces, and `test_turning.py` the centers of floors that turn."""
     elsewhere = {
-        "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale", "force_scale"
+        "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale",
+        "force_scale", "eccentric_mass", "eccentric_stiffness",
     }  # fmt: skip
     assert {effect.name for effect in catalogue()} == {*CASES, *elsewhere}

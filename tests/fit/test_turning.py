@@ -195,3 +195,12 @@ def test_text_json_and_table():
 def test_other_methods_refuse(method):
     with pytest.raises(cvxshear.UnsuitableError, match="methods efficient and one-shot"):
         cvxshear.identify(random_frame(2, 3).experiment(), method=method)
+
+
+def test_every_backend_solves_the_programs_of_a_frame_that_turns():
+    """A matrix inequality that is active is for conic solvers; without one, all solvers reach the closed form."""
+    comparison = cvxshear.compare_backends("examples/turning_floors.toml", ["kkt", "quadprog", "clarabel"], repeats=1)
+    held = {row.backend: row.failure for row in comparison.rows if row.kind == "bounded mass"}
+    assert not held["clarabel"]
+    assert "matrix inequality" in held["quadprog"]
+    assert all(row.difference < 1e-9 for row in comparison.rows if row.kind != "bounded mass")

@@ -23,7 +23,7 @@ ELSEWHERE = {
 }  # fmt: skip
 """Effects tested elsewhere: wrong declarations and forces, braces and feet (visible only with turning joints), and
 effects with two parameters."""
-EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE]
+EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE and "one" in effect.floors_move]
 OF_STATES = {"joint_release", "state_stiffness", "state_mass", "load_scale"}
 """Effects that need different states, or different added masses."""
 

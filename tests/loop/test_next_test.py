@@ -49,7 +49,7 @@ def test_every_effect_says_something_of_a_test_without_priors():
             np.concatenate([start.theta, *(np.array(placed.start) for placed in effects)]),
             backends.get("auto"),
         )
-        for effects in [(), *((item.placed,) for item in hypotheses(of, chosen(None), ()))]
+        for effects in [(), *((item.placed,) for item in hypotheses(of, chosen(None, of), ()))]
     )
     first = of.configurations[0]
     test = imagined(plain, first, np.array([0.0, 6.0, 0.0, 0.0]))

@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse, Rectangle
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
+from cvxshear.effects.stories import SIDES
 from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.fit.turning_floors import TurningFrame
 from cvxshear.loop import LoopResult
@@ -95,7 +96,15 @@ def _findings_caption(result: LoopResult) -> str:
     )
 
 
-@style.figure("findings", LoopResult, title="What was found, and where", caption=_findings_caption, section="verdict")
+@style.figure(
+    "findings",
+    LoopResult,
+    title="What was found, and where",
+    caption=_findings_caption,
+    section="verdict",
+    applies=lambda result: not result.experiment.frame.turns,
+    needs="one motion per floor",
+)
 def findings(result: LoopResult) -> Figure:
     """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
 
@@ -388,26 +397,30 @@ ELLIPSE = float(np.sqrt(-2.0 * np.log(1.0 - SURE)))
 @style.figure(
     "plans",
     Identification,
+    LoopResult,
     title="The floors from above",
     section="frame",
     applies=lambda result: result.experiment.frame.turns,
     needs="floors that turn",
 )
-def plans(result: Identification) -> Figure:
+def plans(result: Identification | LoopResult) -> Figure:
     """Floors from above with their centers of mass and stiffness; the numbers are in the table above.
 
     Dots: mass centers; diamonds: centers of stiffness of the story below; ellipses of 95 %, from the deviations of x
-    and y. Black: sensors and their directions. A center that the data leave open is not drawn.
+    and y. Black: sensors and their directions. Thick lines: sides at which the story below changed, with the change. A
+    center that the data leave open is not drawn.
 
     Parameters
     ----------
-    result : Identification
+    result : Identification or LoopResult
 
     Returns
     -------
     Figure
     """
-    frame, sensors = result.parts[0].frame, result.experiment.configurations[0].sensors
+    found = result.effects if isinstance(result, LoopResult) else ()
+    frame = result.averaged if isinstance(result, LoopResult) else result.parts[0].frame
+    sensors = result.experiment.configurations[0].sensors
     assert isinstance(frame, TurningFrame)
     outline = _outline(result.experiment.frame.plan, sensors)
     drawn, panels = _plan_panels(result.experiment.stories, outline)
@@ -427,12 +440,31 @@ def plans(result: Identification) -> Figure:
         for sensor in (each for each in sensors if each.floor == floor + 1):
             ends = np.array([sensor.position, sensor.position + reach * sensor.row[:2]])
             axes.plot(*ends.T, color=style.MEASURED, lw=0.8, marker=".", markevery=[0], label="sensor")
+        for item in found:
+            if item.placed.place.story == floor + 1 and "change" in item.parameters:
+                _changed_sides(axes, outline, item)
         axes.set_title(f"floor {floor + 1}", fontsize=7.5)
-    # One entry of the legend for all sensors.
-    handles, labels = panels[0].get_legend_handles_labels()
-    kept = dict(zip(labels, handles, strict=True))
+    # One entry of the legend for all sensors, and for all sides.
+    entries = [axes.get_legend_handles_labels() for axes in panels]
+    kept = {label: handle for handles, labels in entries for handle, label in zip(handles, labels, strict=True)}
     drawn.legend(kept.values(), kept.keys(), loc="outside upper center", ncols=len(kept))
     return drawn
+
+
+def _changed_sides(axes: Axes, outline: Floats, item: AddedEffect) -> None:
+    """Mark the sides of the plan at which a story changed, all of them for the whole story, with the change."""
+    low, high = outline[0], outline[2]
+    sides = [SIDES[item.placed.place.part]] if item.placed.place.part else [SIDES["in x"], SIDES["in y"]]
+    for axis, signs in sides:
+        for sign in signs:
+            ends = np.array([low, high])
+            ends[:, 1 - axis] = high[1 - axis] if sign > 0 else low[1 - axis]
+            axes.plot(*ends.T, color=style.BEFORE, lw=3.0, label="changed side")
+            axes.annotate(
+                percent(item.parameters["change"], 1), ends.mean(axis=0), fontsize=7, color=style.BEFORE,
+                ha="center", va="center", xytext=(0, -8 * sign) if axis == 0 else (-18 * sign, 0),
+                textcoords="offset points",
+            )  # fmt: skip
 
 
 def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:

@@ -125,7 +125,14 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 
 
-@style.figure("shapes", LoopResult, title="Mode shapes", section="shapes")
+@style.figure(
+    "shapes",
+    LoopResult,
+    title="Mode shapes",
+    section="shapes",
+    applies=lambda result: not result.experiment.frame.turns,
+    needs="one motion per floor",
+)
 def shapes(result: LoopResult) -> Figure:
     """Measured mode shapes with error bars beside those of the shear model and of the final model.
 
@@ -528,19 +535,20 @@ def _seen_from_above(*results: Any) -> bool:
     "plan_shapes",
     ModalResult,
     Identification,
+    LoopResult,
     title="Mode shapes from above",
     section="shapes",
     applies=_seen_from_above,
     needs="one test of floors that turn",
 )
-def plan_shapes(result: ModalResult | Identification) -> Figure:
+def plan_shapes(result: ModalResult | Identification | LoopResult) -> Figure:
     """Mode shapes of the floors from above, with the shares of x, y and rotation; the numbers are in the tables.
 
     Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
 
     Parameters
     ----------
-    result : ModalResult or Identification
+    result : ModalResult, Identification or LoopResult
 
     Returns
     -------
@@ -548,7 +556,8 @@ def plan_shapes(result: ModalResult | Identification) -> Figure:
     """
     if isinstance(result, ModalResult):
         return drawn_frame.moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
-    found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
+    predictions = result.estimate.predictions if isinstance(result, LoopResult) else result.parts[0].predictions
+    found, tested = predictions[0], result.experiment.configurations[0]
     modes = found.modes - 1
     return drawn_frame.moved_plans(
         tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan

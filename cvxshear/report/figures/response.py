@@ -305,6 +305,8 @@ def animations(*results: Any) -> Iterator[Json]:
 @animations.register
 def _swaying(result: LoopResult) -> Iterator[Json]:
     """Move the modes of the final model, each as the first test that measured it shows it."""
+    if result.experiment.frame.turns:
+        return
     found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
     yield _modes(
         found, drawn_frame.elevations(result.experiment)[0], "The modes of the final model, with measured frequencies."

@@ -1,0 +1,177 @@
+"""Centers of mass and of stiffness of floors that turn, away from the axis of the symmetric frame.
+
+A floor with mass m and inertia J about its center c has, at the reference point, the matrix S' diag(m, m, J) S; S turns
+the motion of the reference point into that of the center. A story whose center of stiffness is c has S' K_s S.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.open_class import OpenClass
+from cvxshear.effects.state import Scale, State
+from cvxshear.measurement.configuration import Configuration
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.motions import THREE_MOTIONS, blocks, entries_of
+from cvxshear.util.quantities import with_std
+from cvxshear.util.typing import Floats
+
+#: dS / dc of a center that moves in x, and in y.
+MOVED = {
+    "in x": np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]),
+    "in y": np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+}
+
+
+class _Eccentric(Effect):
+    """Center of every floor or story, or of one, at a distance e from the axis of the symmetric frame.
+
+    Expected size: 0.12 radii of gyration, which are 5 % of the side of a square floor, the accidental eccentricity of
+    EN 1998-1, 4.3.2. Floors are drawn symmetric more often than they are: three in ten frames have the effect.
+    """
+
+    source = "parallel shift of the reference point of a rigid floor"
+    stage = "center"
+    floors_move = ("three",)
+    parameters = (Parameter("e", "m"),)
+    usual, usual_in = 0.12, "mean_radius"
+    probability = 0.3
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        levels = [Place(), *super().places(experiment)]
+        return [Place(floor=at.floor, story=at.story, part=axis) for at in levels for axis in MOVED]
+
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        """Return as much for all floors or stories together as for each of them alone."""
+        return float(experiment.stories) if (place.floor, place.story) == (None, None) else 1.0
+
+    def pattern(self, place: Place, stories: int) -> Floats:
+        """Return the distance of each floor's or story's center for a parameter of 1, shape (1, N)."""
+        level = place.floor or place.story
+        return np.ones((1, stories)) if level is None else np.eye(stories)[level - 1 : level]
+
+
+class EccentricMass(_Eccentric):
+    """M_i at the reference point of a floor whose mass center is e from it; the inertia is about the center."""
+
+    name = "eccentric_mass"
+    summary = "The mass center of a floor, or of all floors, is beside the axis of the symmetric frame."
+    formula = "M_i = S' diag(m, m, J) S,  S = [[1, 0, -e_y], [0, 1, e_x], [0, 0, 1]]"
+    sits_at = ("floor",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return with_moved_masses(state, str(place.part), values, self.pattern(place, len(state.heights)), own)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        whose = "all floors" if place.floor is None else f"floor {place.floor}"
+        return f"the mass center of {whose} is at {_coordinate(place, values, std)}"
+
+
+class EccentricStiffness(_Eccentric):
+    """K_s at the reference point of a story whose center of stiffness is e from it."""
+
+    name = "eccentric_stiffness"
+    summary = "The center of stiffness of a story, or of all stories, is beside the axis of the symmetric frame."
+    formula = "K_s = S' diag(k_x, k_y, k_r) S,  S = [[1, 0, -e_y], [0, 1, e_x], [0, 0, 1]]"
+    sits_at = ("story",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return with_moved_stories(state, str(place.part), values, self.pattern(place, len(state.heights)), own)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        whose = "all stories" if place.story is None else f"story {place.story}"
+        return f"the center of stiffness of {whose} is at {_coordinate(place, values, std)}"
+
+
+def _coordinate(place: Place, values: Floats, std: Floats) -> str:
+    return f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"
+
+
+class OtherCenters(OpenClass):
+    """Every center of mass and of stiffness at its own place, and principal axes of its own for every story.
+
+    Expected size: 0.12 radii of gyration for every center, and an entry xy of 0.12 of the mean stiffness.
+    """
+
+    name = "other_centers"
+    summary = "Every floor and every story has its own center, and every story its own axes."
+    formula = "M_i and K_s about any center; K_xy = o (k_x + k_y) / 2 for every story"
+    source = "a symmetric positive matrix of three motions has a center and an angle of its axes"
+    stage = "center"
+    floors_move = ("three",)
+    usual, usual_in = 0.12, "mean_radius"
+    probability = 0.1
+    holds_in_words = "that floors and stories are symmetric about one axis"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        levels = range(1, experiment.stories + 1)
+        return [
+            *(Parameter(f"floor {i} {axis}", "m") for axis in MOVED for i in levels),
+            *(Parameter(f"story {i} {axis}", "m") for axis in MOVED for i in levels),
+            *(Parameter(f"story {i} between x and y", "") for i in levels),
+        ]
+
+    def sizes(self, scale: Scale) -> Floats:
+        stories = len(scale.heights)
+        return self.usual * np.repeat([scale.mean_radius, 1.0], [4 * stories, stories])
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        n = len(state.heights)
+        own_part = [slice(first, first + n) for first in range(0, 5 * n, n)]
+        parts = [(values[part], slice(own.start + part.start, own.start + part.stop)) for part in own_part]
+        for axis, (moved, rows) in zip(MOVED, parts[:2], strict=True):
+            state = with_moved_masses(state, axis, moved, np.eye(n), rows)
+        k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+        skew, rows = parts[-1]
+        mean, d_mean = (0.5 * (each[..., 0::6] + each[..., 1::6]) for each in (k, dk))
+        k[3::6] += skew * mean
+        dk[:, 3::6] += skew * d_mean
+        dk[rows, 3::6] += np.diag(mean)
+        state = _with_stories(state, k, dk)
+        for axis, (moved, rows) in zip(MOVED, parts[2:4], strict=True):
+            state = with_moved_stories(state, axis, moved, np.eye(n), rows)
+        return state
+
+
+def with_moved_masses(state: State, axis: str, values: Floats, pattern: Floats, own: slice) -> State:
+    """Move the mass center of each floor along an axis by values @ pattern; declared added mass stays in its place.
+
+    Parameters
+    ----------
+    state : State
+    axis : str
+        Of `MOVED`.
+    values : ndarray, shape (p,)
+    pattern : ndarray, shape (p, N)
+    own : slice
+        Rows of the derivatives by the values.
+    """
+    test = state.tested
+    assert isinstance(test, Configuration)
+    loads = THREE_MOTIONS.loads(test.added_mass, test.added_mass_position)
+    moves = [np.kron(np.diag(each), MOVED[axis]) for each in pattern]
+    S = np.eye(len(loads)) + np.tensordot(values, np.array(moves), 1)
+    left = (state.system.M - loads) @ S
+    dM = S.T @ state.system.dM @ S
+    for row, move in zip(range(own.start, own.stop), moves, strict=True):
+        dM[row] += move.T @ left + left.T @ move
+    return state.with_mass(S.T @ left + loads, dM)
+
+
+def with_moved_stories(state: State, axis: str, values: Floats, pattern: Floats, own: slice) -> State:
+    """Move the center of stiffness of each story, as `with_moved_masses` does with floors."""
+    n, move = len(state.heights), MOVED[axis]
+    S = np.eye(3) + (values @ pattern)[:, None, None] * move
+    K = blocks(state.story_stiffness, THREE_MOTIONS.stiffness_basis)
+    dK = blocks(state.d_story_stiffness, THREE_MOTIONS.stiffness_basis).reshape(-1, n, 3, 3)
+    left, turned = K @ S, np.swapaxes(S, 1, 2)
+    slopes = turned @ dK @ S
+    by_move = move.T @ left
+    slopes[own] += pattern[:, :, None, None] * (by_move + np.swapaxes(by_move, 1, 2))
+    return _with_stories(state, entries_of(turned @ left), entries_of(slopes).reshape(len(slopes), -1))
+
+
+def _with_stories(state: State, k: Floats, dk: Floats) -> State:
+    """Return the same state with other stories, which changes in single states start from."""
+    return state.having(story_stiffness=k, d_story_stiffness=dk, column_stiffness=k, d_column_stiffness=dk)
