@@ -290,10 +290,6 @@ def model_of(of):
     return Misfit(of).evaluate(theta()).models[0]
 
 
-def test_a_registered_kind_does_not_outlive_its_test():
-    assert set(registry_module.REGISTERED) == {"Frequencies", "Shapes", "Static"}
-
-
 def test_modes_that_changed_places_are_paired_by_their_shapes():
     of = measured_twice()
     _, shapes = modes_of(MASS, STIFFNESS)

@@ -23,12 +23,6 @@ TOP = float(common.HEIGHTS.sum())
 SWAY = float(np.sum(1 / STIFFNESS))
 """Static displacement of the top under 1 N at the top, in m."""
 
-CHANGES = fe.CHANGES | {
-    "spring": fe.with_tie,
-    "floor_mass": fe.with_mass,
-    "state_mass": lambda frame, e, _: replace(frame, floor_mass=frame.floor_mass + e * MASS),
-    "load_scale": lambda frame, e, _: replace(frame, floor_mass=frame.floor_mass + e * (frame.floor_mass - MASS)),
-}
 LOADED = {"state": "loaded"}
 
 
@@ -120,16 +114,12 @@ def of_case(value):
 @pytest.mark.parametrize(("effects", "sizes"), EXACT, ids=of_case)
 def test_a_frame_with_these_effects_has_the_modes_of_the_formulas(effects, sizes, number):
     """An effect of the loaded state leaves the other one as it is."""
-    frame, gain = building(number), np.ones(4)
-    for each, size in zip(effects, sizes, strict=True):
-        place = each.place
-        at = place.story if place.floor is None else (place.floor, place.to) if place.to else place.floor
-        if each.effect.name == "sensor_gain":
-            gain[at - 1] += size * (place.state in (None, NAMES[number]))
-        elif place.state in (None, NAMES[number]):
-            frame = CHANGES[each.effect.name](frame, np.atleast_1d(size)[0], at)
-    found = sway_modes(frame)
-    expected = SwayModes(found.frequencies, gain[:, None] * found.shapes)
+    there = [
+        (each.effect.name, np.atleast_1d(size)[0], vars(each.place))
+        for each, size in zip(effects, sizes, strict=True)
+        if each.place.state in (None, NAMES[number])
+    ]
+    expected = fe.seen_by_sensors(building(), common.ADDED[number], there)
     assert_same(modes_with(effects, *sizes, number=number), expected)
 
 

@@ -120,16 +120,11 @@ def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(line
     assert linear.confounders(CHANGE_4, names, share=0.999) == ("stiffness 4",)
 
 
-def drawn_columns(seed):
-    """Return columns of two parameters, a residual, and the expected sizes."""
-    rng = np.random.default_rng(seed)
-    return rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6), np.array([0.4, 1.5])
-
-
 def drawn_normal(seed):
-    """Return the slope b and the information h of these columns, and their sizes."""
-    columns, r, stds = drawn_columns(seed)
-    return -columns.T @ r, columns.T @ columns, stds
+    """Return the slope b and the information h of two parameters' columns and a residual, and the expected sizes."""
+    rng = np.random.default_rng(seed)
+    columns, r = rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6)
+    return -columns.T @ r, columns.T @ columns, np.array([0.4, 1.5])
 
 
 def gained(b, h, stds):
