@@ -28,9 +28,16 @@ from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares, MatrixInequality, turning
-from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, exact_frame, statements
+from cvxshear.programs.constraints import (
+    LEAST_POSITIVE,
+    NamedConstraints,
+    constrained,
+    embedded,
+    exact_frame,
+    statements,
+)
 from cvxshear.util import decorators, ranking
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats
 
 #: Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
 #: smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6.
@@ -152,7 +159,7 @@ def domain_of(
     interval_std, scale = np.full(size, np.inf), np.abs(theta)
     lmi: tuple[MatrixInequality, ...] = ()
     if experiment.frame.turns:
-        floors = turning.floor_statements(experiment, frame)
+        floors = turning.floor_statements(experiment, frame, priors)
         parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
         units = experiment.units(typical_mass, typical_stiffness)
         if experiment.symmetric:
@@ -203,28 +210,6 @@ def _least(start: Floats, typical: float) -> float:
     """Return the least mass, or the least stiffness, that counts as positive."""
     least, smallest = LEAST_POSITIVE * typical, float(start.min())
     return PART_OF_START * smallest if smallest < 0.5 * least else least
-
-
-def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
-    """Write statements about some of the parameters as statements about all of them."""
-
-    def wide(rows: Floats | None) -> Floats | None:
-        if rows is None:
-            return None
-        full = np.zeros((len(rows), size))
-        full[:, at] = rows
-        return full
-
-    def padded(bound: Floats | None, fill: float) -> Floats | None:
-        if bound is None:
-            return None
-        full = np.full(size, fill)
-        full[at] = bound
-        return full
-
-    return Constraints(
-        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
-    )
 
 
 @dataclass(frozen=True, eq=False)
