@@ -275,19 +275,17 @@ class EffectPrior:
     def _frame(self, theta: Floats, units: Floats) -> Rows:
         """Compute the logarithms of masses and stiffnesses over their widths, those of stiffnesses about their mean.
 
-        Inertias count with the masses; of stories that turn, each entry has its own mean. The level of the stiffness
-        has no prior: a first fit of a shear frame to a frame with a wall is several times
-        too stiff, and a prior about its level would favor every effect that makes the stories appear stiffer.
+        Inertias count with the masses. The level of the stiffness has no prior: a first fit of a shear frame to a frame
+        with a wall is several times too stiff, and a prior about its level would favor every effect that makes the
+        stories appear stiffer.
         """
         assert self.scale is not None
-        n, motions = len(self.scale.heights), self.scale.motions
-        floors, entries = n * len(motions.mass_names), len(motions.stiffness_names)
-        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], [floors, n * entries])
+        floors = len(self.scale.heights) * len(self.scale.motions.mass_names)
+        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], [floors, len(units) - floors])
         own = theta[: len(units)]
         r, slope = np.log(own / units) / width, np.diag(1.0 / (width * own))
-        for entry in range(floors, floors + entries):
-            r[entry::entries] -= np.mean(r[entry::entries])
-            slope[entry::entries] -= np.mean(slope[entry::entries], axis=0)
+        r[floors:] -= np.mean(r[floors:])
+        slope[floors:] -= np.mean(slope[floors:], axis=0)
         return r, np.hstack([slope, np.zeros((len(own), len(theta) - len(own)))])
 
 
