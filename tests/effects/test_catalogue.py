@@ -501,6 +501,8 @@ def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():
     values = np.array([*THREE[0], *THREE[1], 0.1, 0.2, -0.3])
     state = compose(of, of.configurations[0], [LocatedEffect(gains.bound(of), Place())], values)
     np.testing.assert_allclose(state.gain, [1.1, 1.2, 0.7])
+    (sensor,) = one("sensor_gain").parameters
+    assert {(each.lower, each.upper) for each in gains.bound(of).parameters} == {(sensor.lower, sensor.upper)}
 
 
 @pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])
