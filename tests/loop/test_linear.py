@@ -150,8 +150,7 @@ def gained(b, h, stds):
 
 
 def over_log_sizes(log_gain, points=4001):
-    """Return the log of the mean of a gain over a normal variable, and the point with the largest gain times
-    density."""
+    """Return the log of the mean of a gain over a normal variable, and where gain times density is largest."""
     t = np.linspace(-9.0, 9.0, points)
     logs = np.array([log_gain(each) for each in t]) + stats.norm.logpdf(t)
     return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
