@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns, refu
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
-from cvxshear.records.motion import DrivenRecord, DrivenRun, differentiated
+from cvxshear.records.motion import differentiated
 from cvxshear.records.record import (
     INPUTS,
     RECORDED_QUANTITIES,
@@ -375,39 +374,6 @@ def read_record(path: str | Path) -> RecordFile:
             file.record, notes = file.time_record()
             file.notes = tuple(notes)
     return file
-
-
-def read_motion(path: str | Path) -> DrivenRecord:
-    """Read the excitation from a record file, and the accelerations of its floors if it has such channels.
-
-    Parameters
-    ----------
-    path : str or Path
-        As for `read_record`; here a channel of the ground, or of the force, is enough.
-
-    Returns
-    -------
-    DrivenRecord
-
-    Raises
-    ------
-    InputError
-        The same errors as in `read_record`, and a record without an excitation.
-    """
-    tables = RecordFile(Path(path))
-    with placed(tables.path):
-        driver = tables.driver if tables.kind == "time" else None
-        if driver is not None and not tables.responses:
-            pieces, rate = tables.pieces([driver])
-            added = None if tables.added_mass is None else np.array(tables.added_mass)
-            runs = []
-            for _, stretches in groupby(pieces, key=lambda each: each.run):
-                longest = max(stretches, key=lambda each: len(each.columns.values))
-                assert longest.excitation is not None
-                runs.append(DrivenRun(longest.excitation, longest.floor, name=longest.run))
-            return DrivenRecord(tuple(runs), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
-    found = read_record(path)
-    return DrivenRecord.of(found.record, found.added_mass, found.state)
 
 
 @contextmanager

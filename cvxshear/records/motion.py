@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +11,7 @@ import scipy
 
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.examination import one_a_floor
-from cvxshear.records.record import RECORDED_QUANTITIES, Record, TimeRecord
+from cvxshear.records.record import RECORDED_QUANTITIES, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Complexes, Floats, Ints
@@ -62,6 +62,16 @@ class DrivenRun(checks.ReadOnlyArrays):
         """Number of samples."""
         return len(self.excitation)
 
+    @property
+    def measured(self) -> Floats:
+        """The responses, shape (samples, floors); without columns if none was recorded."""
+        return np.zeros((self.samples, 0)) if self.responses is None else self.responses
+
+    @property
+    def drive(self) -> Floats:
+        """Excitation between the samples and at the samples, shape (samples, 2)."""
+        return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
+
 
 @dataclass(frozen=True, eq=False)
 class DrivenRecord(checks.ReadOnlyArrays):
@@ -81,6 +91,8 @@ class DrivenRecord(checks.ReadOnlyArrays):
     name : str, optional
     state : str, optional
         The state of the frame during the record; None if not declared.
+    remarks : tuple of str, optional
+        Sensor faults, and their corrections.
 
     Raises
     ------
@@ -95,19 +107,22 @@ class DrivenRecord(checks.ReadOnlyArrays):
     added_mass: Floats | None = None
     name: str = "record"
     state: str | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
         put(self, "runs", tuple(self.runs))
         put(self, "sampling_rate", checks.number(self.sampling_rate, "record: sampling_rate", above=0.0))
-        checks.choice(self.input, DRIVEN, "record: input")
+        if self.input not in DRIVEN:
+            raise InputError(
+                f'{self.name} has input = "{self.input}"; what drove the frame in time is needed: input = "base" with '
+                'a channel on floor 0, or input = "force" with a channel of the force'
+            )
         put(self, "floors", np.asarray(self.floors, dtype=np.int64))
         checks.put(self, "added_mass", checks.vector, "record: added_mass")
         if not self.runs:
             raise InputError("record: at least one run is needed")
         for run in self.runs:
-            if not np.any(run.excitation):
-                raise InputError(f"{run.name}: the input channel is zero throughout")
             if self.input == "force":
                 checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=MOST_STORIES)
             if run.responses is not None and run.responses.shape[1] != len(self.floors):
@@ -121,22 +136,32 @@ class DrivenRecord(checks.ReadOnlyArrays):
         """Time between samples, s."""
         return 1.0 / self.sampling_rate
 
-    def detrended(self) -> DrivenRecord:
-        """Without the straight line through base and floor accelerations, which is what sensors add; a force stays."""
-        runs = []
-        for run in self.runs:
-            excitation = run.excitation - trend(run.excitation) if self.input == "base" else run.excitation
-            responses = None if run.responses is None else run.responses - trend(run.responses)
-            runs.append(dataclasses.replace(run, excitation=excitation, responses=responses))
-        return dataclasses.replace(self, runs=tuple(runs))
+    @property
+    def seconds(self) -> float:
+        """Length of all runs together."""
+        return sum(run.samples for run in self.runs) / self.sampling_rate
+
+    def columns(self) -> Floats:
+        """Return the excitation and each channel in all runs, shape (samples, 1 + floors)."""
+        return np.concatenate([np.column_stack([run.excitation, run.measured]) for run in self.runs])
+
+    def rms(self) -> Floats:
+        """Compute the root mean square of the excitation and of each channel, shape (1 + floors,)."""
+        square: Floats = np.nanmean(self.columns() ** 2, axis=0)
+        return np.sqrt(square)
+
+    def replaced(self, floors: Ints | None = None, **arrays: Iterable[Floats]) -> DrivenRecord:
+        """Return the record with other arrays in its runs, one per run for each field, and other floors if given."""
+        every = [dict(zip(arrays, values, strict=True)) for values in zip(*arrays.values(), strict=True)]
+        runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
+        return dataclasses.replace(self, runs=tuple(runs), floors=self.floors if floors is None else floors)
 
     def band_limited(self) -> DrivenRecord:
         """Take the excitation as band-limited between its samples, not as straight lines."""
-        runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
-        return dataclasses.replace(self, runs=tuple(runs))
+        return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
 
     @staticmethod
-    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> DrivenRecord:
+    def of(record: TimeRecord, added_mass: Sequence[float] | None = None, state: str | None = None) -> DrivenRecord:
         """Read the motion that a record holds.
 
         Parameters
@@ -152,23 +177,22 @@ class DrivenRecord(checks.ReadOnlyArrays):
         InputError
             Where the record does not say what drove the frame.
         """
-        if not isinstance(record, TimeRecord) or record.input not in DRIVEN:
-            found = f'input = "{record.input}"' if isinstance(record, TimeRecord) else "frequency response functions"
-            raise InputError(
-                f'{record.name} has {found}; a prediction needs what drove the frame in time: input = "base" with a '
-                'channel on floor 0, or input = "force" with a channel of the force'
-            )
-        single, _ = one_a_floor(record)
-        measured = single.quantity == "acceleration"
-        forced = single.input == "force"
-        runs = tuple(
-            DrivenRun(run.excitation, run.floor if forced else 0, run.responses if measured else None, run.name)
-            for run in single.runs
-            if run.excitation is not None
-        )
-        floors = single.floors if measured else np.zeros(0, dtype=np.int64)
         added = None if added_mass is None else np.asanyarray(added_mass, dtype=np.float64)
-        return DrivenRecord(runs, single.sampling_rate, single.input, floors, added, single.name, state)
+        return dataclasses.replace(of_channels(one_a_floor(record)[0]), added_mass=added, state=state)
+
+
+def of_channels(record: TimeRecord) -> DrivenRecord:
+    """Read the motion that a record holds, with one column for each channel and its floor."""
+    measured = record.quantity == "acceleration"
+    runs = tuple(
+        DrivenRun(
+            run.excitation, run.floor if record.input == "force" else 0, run.responses if measured else None, run.name
+        )
+        for run in record.runs
+        if run.excitation is not None
+    )
+    floors = record.floors if measured else np.zeros(0, dtype=np.int64)
+    return DrivenRecord(runs, record.sampling_rate, record.input, floors, name=record.name)
 
 
 #: Fraction of half the sampling rate above which a record has only noise: anti-aliasing filters begin at 0.8 or

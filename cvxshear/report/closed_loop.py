@@ -20,11 +20,13 @@ def _closure(result: LoopResult) -> blocks.Document:
     fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
     effort = f"Backend {result.backend}: {fits}, {programs}."
     modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
+    averaged = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
+    frame = identified.frame_table(result.averaged, averaged, units).folded(2 * blocks.PAGE_COLUMNS // 3)
     sections = (
         verdict_section(result),
         limits_section(result),
         states_section(result, units),
-        frame_section(result, units),
+        blocks.section("frame", "The identified frame", *frame, *identified.turning_words(result.frame)),
         identified.other_frames_section(result, units),
         effects_section(result),
         headline.numbering_section(result),
@@ -39,10 +41,10 @@ def _closure(result: LoopResult) -> blocks.Document:
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
-    frame = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
+    data = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
     line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"
-    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes), line)
+    return blocks.Document(title, text, sections, (data, effects_table(result), errors_table(result), modes), line)
 
 
 def verdict_section(result: LoopResult) -> blocks.Section:
@@ -180,13 +182,6 @@ def _by_state(
 def _alike(one: Floats, other: Floats) -> Bools:
     """Find the values that differ by rounding at most."""
     return np.isclose(one, other, rtol=quantities.NEGLIGIBLE_STD, atol=0.0)
-
-
-def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
-    """Tabulate the frame averaged over all sets."""
-    title = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
-    tables = identified.frame_table(result.averaged, title, units).folded(2 * blocks.PAGE_COLUMNS // 3)
-    return blocks.section("frame", "The identified frame", *tables, *identified.turning_words(result.frame))
 
 
 def effects_section(result: LoopResult) -> blocks.Section:
@@ -353,9 +348,8 @@ def _std(item: Deviation) -> str:
 
 def not_considered(result: LoopResult) -> blocks.Section:
     """List the effects that the data cannot tell, and what would tell them."""
-    cells = {"effect": result.not_considered, "needs": result.not_considered.values()}
-    texts = {head: [each.replace("_", " ") for each in names] for head, names in cells.items()}
-    tables = [blocks.table("not-looked-for", "", texts, words=(0, 1))] if result.not_considered else []
+    rows = [[text.replace("_", " ") for text in pair] for pair in result.not_considered.items()]
+    tables = [blocks.table_of_rows("not-looked-for", "", ("effect", "needs"), rows, words=(0, 1))] if rows else []
     return blocks.section("not-considered", "What was not looked for", *tables, below=True, appendix=True)
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 from scipy import special
 
-from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
+from cvxshear.records.motion import DrivenRecord, trend
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.recording import Recording, earlier, rms
+from cvxshear.response.recording import rms, without_base_line, without_lines
 from cvxshear.response.state_space import Response, response
 from cvxshear.util.quantities import CHANNEL_UNITS, SURE, ranged
 from cvxshear.util.results import InJson
@@ -195,8 +195,6 @@ class RecordComparison(InJson):
         Error of the transfer function's magnitude around each mode; nan if the excitation does not reach the mode.
     shifts : tuple of Shift
     measured, predicted : Transfer
-    contradiction : str
-        Contradictions that one factor or a sign would explain; empty without contradiction.
     """
 
     floors: Ints
@@ -207,7 +205,6 @@ class RecordComparison(InJson):
     shifts: tuple[Shift, ...]
     measured: Transfer
     predicted: Transfer
-    contradiction: str = ""
 
     json_keys = "floors nrmse rms_ratio peak_ratio frf_error"
 
@@ -237,15 +234,11 @@ def compared(
     frequency_std : ndarray, shape (N,), optional
         Relative standard deviations of the model's frequencies; by default, none.
     """
-    recorded = [run.responses for run in motion.runs if run.responses is not None]
-    if len(recorded) < len(motion.runs):
-        return None
-    whole = np.all([np.isfinite(each).all(axis=0) for each in recorded], axis=0)
-    columns = np.flatnonzero((motion.floors <= len(model.M)) & whole)
+    columns = np.flatnonzero(np.all([np.isfinite(run.measured).all(axis=0) for run in motion.runs], axis=0))
     floors = motion.floors[columns]
     if not floors.size:
         return None
-    measured = [each[:, columns] for each in recorded]
+    measured = [run.measured[:, columns] for run in motion.runs]
     predicted = [seen(model, response, floors) for response in responses]
     y, shown = np.concatenate(measured), np.concatenate(predicted)
     rms_measured, rms_predicted, rms_error = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, shown, shown - y))
@@ -265,7 +258,6 @@ def compared(
             peak_ratio=np.max(np.abs(shown), axis=0) / np.max(np.abs(y), axis=0),
             frf_error=errors(of_record, of_model, natural),
             shifts=_shifts(spectra, model, measured_modes, frequency_std),
-            contradiction=contradiction(y, shown, floors),
             measured=of_record,
             predicted=of_model,
         )
@@ -326,11 +318,11 @@ def moved_against(measured: Floats, predicted: Floats) -> Bools:
     return np.asarray(against & sure, dtype=bool)
 
 
-def contradiction(measured: Floats, predicted: Floats, floors: Ints) -> str:
-    """Report contradictions that one factor or a sign explains; empty without any."""
+def contradictions(measured: Floats, predicted: Floats, floors: Ints) -> list[str]:
+    """Report contradictions that one factor or a sign explains."""
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (measured, predicted))
-    if not np.all(size_y > 0) or not np.all(size_p > 0):
-        return ""
+    if not len(floors) or not np.all(size_y > 0) or not np.all(size_p > 0):
+        return []
     own = moved_alike(measured, predicted)
     said = []
     ratios = size_y / size_p
@@ -352,7 +344,7 @@ def contradiction(measured: Floats, predicted: Floats, floors: Ints) -> str:
         )
     elif against.size:
         said.append("every floor moved against the prediction: is the excitation's sign reversed?")
-    return "; ".join(said)
+    return said
 
 
 #: Units of acceleration that are confused with m/s2.
@@ -370,34 +362,30 @@ LIKE = 0.5
 MOVED_ALIKE = 1e-3
 
 
-def predicted_responses(model: DampedModel, recording: Recording) -> list[Response]:
+def predicted_responses(model: DampedModel, record: DrivenRecord) -> list[Response]:
     """Compute the motion of a frame from the excitation alone."""
-    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
-    return [response(model, drive, recording.step) for drive in runs]
+    return [response(model, run, record.step) for run in record.runs]
 
 
-def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
+def readings_of(model: DampedModel, record: DrivenRecord) -> list[DrivenRecord]:
     """List versions of a measured excitation between its samples: linear and band-limited.
 
     Return only one version if both give the same motion.
     """
-    other = recording.band_limited()
+    other = record.band_limited()
     motion, moved = (
-        np.concatenate([each.acceleration for each in predicted_responses(model, own)]) for own in (recording, other)
+        np.concatenate([each.acceleration for each in predicted_responses(model, own)]) for own in (record, other)
     )
-    return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
+    return [record, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [record]
 
 
-def as_predicted(model: DampedModel, recording: Recording) -> Recording:
-    """Return a recording corrected by the prediction of the identified model.
+def as_predicted(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
+    """Return a record corrected by the prediction of the identified model.
 
-    A channel is inverted if it alone moves opposite to its prediction. A removed delay is restored if the sensor was
-    nearer to its prediction with the delay: dampers shift phases as clocks do, and the model includes dampers. Other
-    contradictions are added to the remarks.
+    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
     """
-    shown = [seen(model, each, recording.floors) for each in predicted_responses(model, recording)]
-    recording = _with_delays(recording, shown)
-    measured = np.concatenate([run.measured - trend(run.measured) for run in recording.runs])
+    shown = [seen(model, each, record.floors) for each in predicted_responses(model, record)]
+    measured = np.concatenate([run.measured - trend(run.measured) for run in record.runs])
     predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)
     measured = np.nan_to_num(measured)
     against = moved_against(measured, predicted)
@@ -405,34 +393,14 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     said = [
         f"the sensor of floor {floor} is reversed: it moves against the prediction, where all others move with it; "
         "turned round, check its sign in the record file"
-        for floor in recording.floors[against]
+        for floor in record.floors[against]
     ]
-    contradicted = contradiction(signs * measured, predicted, recording.floors)
-    remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
-    turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
-    return dataclasses.replace(turned, remarks=remarks)
+    said += contradictions(signs * measured, predicted, record.floors)
+    turned = record.replaced(responses=(signs * run.measured for run in record.runs))
+    return dataclasses.replace(turned, remarks=(*record.remarks, *said))
 
 
-def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
-    """Restore the delays of sensors that are nearer to their prediction with the delay."""
-    late = np.zeros((len(recording.floors), 2)) if recording.late is None else recording.late
-    measured, remarks = [run.measured.copy() for run in recording.runs], list(recording.remarks)
-    for column in np.flatnonzero(late.any(axis=1)):
-        started, delayed = 0, []
-        for values in measured:
-            delayed.append(earlier(values[:, column], -late[column], recording.sampling_rate, started))
-            started += len(values)
-        own = [values[:, column] for values in predicted]
-        if _misfit(delayed, own) < _misfit([values[:, column] for values in measured], own):
-            for values, with_delay in zip(measured, delayed, strict=True):
-                values[:, column] = with_delay
-            message = recording.late_remarks[column]
-            remarks = [each for each in remarks if each != message]
-            if recording.late_remarks.count(message) > 1:
-                # A delay of the input belongs to all sensors; the other sensors may stay corrected.
-                remarks.append(f"{message}; left in for floor {recording.floors[column]}")
-    return dataclasses.replace(recording.replaced(measured=measured), remarks=tuple(remarks))
-
-
-def _misfit(measured: Sequence[Floats], predicted: Sequence[Floats]) -> float:
-    return sum(rms(seen - trend(seen) - own + trend(own)) for seen, own in zip(measured, predicted, strict=True))
+def without_drift(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
+    """Subtract the straight lines through the base acceleration, and through each channel minus its prediction."""
+    record = without_base_line(record)
+    return without_lines(record, [seen(model, each, record.floors) for each in predicted_responses(model, record)])

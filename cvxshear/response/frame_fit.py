@@ -25,18 +25,19 @@ from cvxshear.response.sources import covariance_root
 from cvxshear.response.varied_frame import DIFFERENCE
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
+from cvxshear.util.quantities import SURE
 from cvxshear.util.typing import Floats
 
 #: Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions.
 #: The time of a fit is proportional to this number; model errors limit the accuracy with more samples.
 FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
 
-#: Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
-#: with less information reduces the variance by less than a fifth, and the prior of the direction remains.
-LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
+#: Minimum information, relative to the prior, for a direction to be fitted. A record with less information reduces the
+#: variance by less than a fifth, and the prior of the direction remains.
+LEAST_INFORMATION = 0.5
 
-#: Accuracy of the last and of the first fit; four to eight steps are usual.
-FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
+#: Accuracy of a fit; four to eight steps are usual.
+FITTED = Accuracy(step=0.1, most_steps=20)
 
 #: Maximum number of selections of the changes, each with a fit.
 MOST_REFITS = 4
@@ -105,6 +106,16 @@ class FittedFrame:
     def _unknown(self, at: slice, unit: Floats) -> tuple[Floats, Floats]:
         """Return some unknowns and their standard deviations, in units."""
         return unit * self.p[at], np.abs(unit) * np.sqrt(np.diag(self.covariance)[at])
+
+    @property
+    def delays(self) -> tuple[Floats, Floats]:
+        """Delay of each sensor in samples, and its standard deviation, shapes (m,); 0 if it is not sure."""
+        values, std = self._unknown(self.errors.delays, np.ones(len(self.errors.setting.floors)))
+        late = np.zeros(len(values))
+        for each in self.answers:
+            columns = [self.prior.changes[change].columns[self.errors.delays] for change in each.changed]
+            late += each.probability * np.any(np.hstack([values[:, None] * 0.0, *columns]), axis=1)
+        return np.where(late >= SURE, values, 0.0), std
 
     @property
     def gains(self) -> tuple[Floats, Floats]:
@@ -269,7 +280,7 @@ def fit_frame(
     """
     p = np.zeros(errors.size) if start is None else start
     if not free:
-        noise = np.eye(errors.size)[errors.frame.stop :]
+        noise = np.eye(errors.size)[errors.levels]
         # The frame stays as identified; its possible changes since the tests are part of the bands.
         still = frame_prior.Gaussian(np.zeros(errors.size), frame_prior.NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
@@ -278,9 +289,8 @@ def fit_frame(
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     if start is None:
-        along = informative(errors, prior, p, FIRST_INFORMATION)
-        rough = _Posterior(errors.shortened(PROBED_SAMPLES), along, prior.widest)
-        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
+        short = errors.shortened(PROBED_SAMPLES)
+        p = _Posterior(short, informative(errors, prior, p), prior.widest).maximum(p, backend)[0].p
     along = informative(errors, prior, p)
     # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
     # story, and rarely return, because base motion does not determine this scale.
@@ -308,13 +318,11 @@ def _nearer(
     return nearer
 
 
-def informative(
-    errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats, least: float = LEAST_INFORMATION
-) -> Directions:
+def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
     """Find the directions on which the record has information, for all possible changes and errors of form."""
     short = errors.shortened(PROBED_SAMPLES)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
-    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, LEAST_INFORMATION * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, backend: Backend, *, free: bool) -> FittedFrame:

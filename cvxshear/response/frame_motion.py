@@ -14,19 +14,20 @@ from itertools import pairwise
 
 import numpy as np
 
+from cvxshear.records.motion import DrivenRecord, DrivenRun, differentiated
 from cvxshear.response import frame_fit, state_space
 from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_NOISE, Filter, PredictionErrors, Segment
-from cvxshear.response.recording import RecordedRun, Recording, rms
+from cvxshear.response.innovations import FIRST_NOISE, Filter, PredictionErrors, Segment, strongest
+from cvxshear.response.recording import Piece, cut, on_time, parted, rms, without_lines
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, Dynamics
 from cvxshear.response.uncertain import UncertainFrame, with_modes
 from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Floats
 
 #: Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples.
 SPIKE = 5.0
@@ -43,30 +44,6 @@ NEAR_LIMIT = 0.05
 
 #: Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance.
 MOST_DIRECTIONS = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """One run's excitation and measured accelerations.
-
-    Parameters
-    ----------
-    excitation : ndarray, shape (samples, 2)
-        As in `Dynamics`.
-    measured : ndarray, shape (samples, m)
-        m/s2; nan for missing samples.
-    start_scale : float
-        Factor on the standard deviation of the state at the start.
-    """
-
-    excitation: Floats
-    measured: Floats
-    start_scale: float = 1.0
-
-    @property
-    def present(self) -> Bools:
-        """Mask of the measured samples, shape (samples, m)."""
-        return np.isfinite(self.measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,26 +72,28 @@ class Smoothed:
 Stretch = tuple[int, int, Filter]
 
 
-def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
+def smooth(model: Dynamics, run: DrivenRun, rows: Floats, start_scale: float = 1.0) -> Smoothed:
     """Find the most probable motion, and standard deviations of rows times the states.
 
     Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
-        |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j.
+        |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
 
+    where `start_scale` is a factor on the standard deviation P0^(1/2).
     The normal matrix is block tridiagonal. It is eliminated forward (the Kalman filter) and back (the smoother of
     Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero. Iterative
     reweighting minimizes Huber's loss, which grows linearly beyond `SPIKE` standard deviations and limits the influence
     of spikes.
     """
-    weights = run.present.astype(np.float64)
-    shown, measured = model.shown(run.excitation), np.nan_to_num(run.measured)
+    present, P0 = np.isfinite(run.measured), start_scale**2 * model.P0
+    weights = present.astype(np.float64)
+    shown, measured = model.shown(run.drive), np.nan_to_num(run.measured)
     for _ in range(MOST_REWEIGHTINGS):
-        stretches = _stretches(model, run, weights)
-        states = _swept(stretches, run.excitation, measured, np.zeros(len(model.A)))
+        stretches = _stretches(model, P0, weights)
+        states = _swept(stretches, run.drive, measured, np.zeros(len(model.A)))
         fitted = states @ model.H.T + shown
         size = np.abs(measured - fitted) / np.sqrt(model.R)
-        found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
+        found = np.where(present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
         if np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
             break
         weights = found
@@ -123,10 +102,10 @@ def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
     return Smoothed(states, weights, std, completed)
 
 
-def _stretches(model: Dynamics, run: Observed, weights: Floats) -> list[Stretch]:
+def _stretches(model: Dynamics, P: Floats, weights: Floats) -> list[Stretch]:
     """Split a run into segments with one filter: a filter that settles has one sample per segment."""
     edges = [0, *(np.flatnonzero(np.any(np.diff(weights, axis=0), axis=1)) + 1).tolist(), len(weights)]
-    P, found = run.start_scale**2 * model.P0, []
+    found = []
     for first, last in pairwise(edges):
         own = model.weighted(weights[first])
         limit = Filter.settled(own) if last - first > BLOCK else None
@@ -185,10 +164,6 @@ def _deviations(rows: Floats, stretches: Sequence[Stretch], samples: int) -> Flo
             if settled:
                 break
     return result
-
-
-#: A part of a run, and the mask of the m sensors that recorded in it, shape (m,).
-Piece = tuple[slice, Bools]
 
 
 def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats, pieces: Sequence[Piece]) -> Floats:
@@ -264,22 +239,22 @@ class FrameMotion:
 
     frame: UncertainFrame
     varied: VariedFrame
-    recording: Recording
+    recording: DrivenRecord
     setting: state_space.Setting
     noise: state_space.Noise
     free: bool
 
     @staticmethod
-    def around(frame: UncertainFrame, recording: Recording, *, free: bool) -> FrameMotion:
+    def around(frame: UncertainFrame, recording: DrivenRecord, *, free: bool) -> FrameMotion:
         """Set up the reconstruction of a recording around an identified frame."""
         varied = VariedFrame.around(frame, recording.floors)
         model = varied.centre.model
         setting = state_space.Setting(
-            recording.floors, recording.step, recording.force_floor, 2 * np.pi / varied.period,
+            recording.floors, recording.step, recording.runs[0].floor, 2 * np.pi / varied.period,
             frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
-        driven = rms(np.concatenate([run.excitation for run in recording.runs]))
-        noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
+        driven, *moved = recording.rms()
+        noise = state_space.Noise(FIRST_NOISE * np.array(moved), FIRST_NOISE, FIRST_NOISE * driven)
         return FrameMotion(frame, varied, recording, setting, noise, free)
 
     def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[Smoothed]]:
@@ -299,11 +274,16 @@ class FrameMotion:
         if detrend:
             model, pairs = errors.dynamics(fitted.p), zip(self.recording.runs, smoothed, strict=True)
             shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
-            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
+            work = dataclasses.replace(self, recording=without_lines(self.recording, shown))
             smoothed = work.smoothed(errors, fitted.p)
+        p = fitted.p.copy()
+        if np.any(fitted.delays[0]):
+            work = dataclasses.replace(work, recording=_on_time(work.recording, *fitted.delays))
+            p[errors.delays] = 0.0
+            smoothed = work.smoothed(errors, p)
         if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
             errors = work.errors(smoothed)
-            fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
+            fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
         return work, fitted, smoothed
 
@@ -313,12 +293,13 @@ class FrameMotion:
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
             parts = [each for each in self.pieces(run) if each[1].any()]
-            stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
+            slopes = np.column_stack([differentiated(each, 1.0, "velocity")[0] for each in y.T])
+            stretches += [Segment(run.drive[part], y[part], channels, slopes[part]) for part, channels in parts]
         return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(frame_fit.FITTED_SAMPLES)
 
-    def pieces(self, run: RecordedRun) -> list[Piece]:
+    def pieces(self, run: DrivenRun) -> list[Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
-        return run.pieces(self.varied.first_samples(self.recording.step))
+        return parted(run, self.varied.first_samples(self.recording.step))
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
@@ -330,7 +311,7 @@ class FrameMotion:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(1.0, moved / rms(stationary))
-            found.append(smooth(model, Observed(run.drive, run.measured, scale), asked))
+            found.append(smooth(model, run, asked, scale))
         return found
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
@@ -349,11 +330,9 @@ class FrameMotion:
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
-            acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             forces = slice(3 * n, 4 * n + (model.heights is not None))
             std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
-            time = self.recording.step * np.arange(len(moved), dtype=np.float64)
-            motion = state_space.Response(time, acceleration, displacement, force, model.heights, model.mass_known)
+            motion = state_space.response_of(model, moved, self.recording.step)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
             stds = {name: std[:, k * n : (k + 1) * n] for k, name in enumerate(names)}
             stds["base_shear"] = stds["story_shear"][:, 0]
@@ -363,7 +342,7 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
-    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: state_space.Noise, run: DrivenRun, found: Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
         systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
@@ -376,7 +355,7 @@ class FrameMotion:
         own = covariance_root(fitted.covariance[frame, frame])
         noise, setting = fitted.errors.noise_at(fitted.p), self.setting
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = run.strongest(frame_fit.PROBED_SAMPLES)
+        part = strongest(run.y, frame_fit.PROBED_SAMPLES)
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
         filtered = Filter.settled(system.seen_by(run.channels))
@@ -407,7 +386,19 @@ class FrameMotion:
         return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
 
 
-def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
+def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
+    """Remove the delays of sensors, in samples, and report them."""
+    said = [
+        f"the clock of the sensor of floor {floor} is {abs(own):.3g} ms {'late' if own > 0 else 'early'} "
+        f"(std {off:.2g} ms): the record contradicts the frame and its other sensors otherwise; taken out"
+        for floor, own, off in zip(record.floors, 1e3 * record.step * late, 1e3 * record.step * std, strict=True)
+        if own
+    ]
+    moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
+    return dataclasses.replace(moved, remarks=(*record.remarks, *said))
+
+
+def _drift_rms(model: DampedModel, recording: DrivenRecord) -> Floats:
     """Compute the rms of the predicted drift of each story."""
     drifts = np.concatenate([each.drift for each in predicted_responses(model, recording)])
     return np.asarray(np.sqrt(np.mean(drifts**2, axis=0)))
@@ -455,9 +446,8 @@ def checked(
         Motion predicted from the excitation alone.
     """
     others = np.arange(len(work.recording.floors)) != channel
-    pairs = zip(work.recording.runs, smoothed, strict=True)
-    parts = [Segment(run.drive, each.completed, others).strongest(frame_fit.FITTED_SAMPLES) for run, each in pairs]
-    other = dataclasses.replace(work, recording=work.recording.only(others).cut(parts))
+    parts = [strongest(each.completed, frame_fit.FITTED_SAMPLES) for each in smoothed]
+    other = dataclasses.replace(work, recording=cut(work.recording, others, parts))
     stretches = [dataclasses.replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
     stretches = [each for each in stretches if each.channels.any()]
     errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)

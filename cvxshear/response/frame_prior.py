@@ -42,13 +42,13 @@ SCATTER_STD = 0.003
 #: Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude.
 DAMPING_STD = 0.5
 
-#: Probability of an undeclared dashpot in some story, and of other floor masses than in the tests: most owners declare
-#: their dampers and loads.
+#: Probability of an undeclared dashpot in some story, of other floor masses than in the tests, and of a late sensor:
+#: most owners declare their dampers and loads, and most loggers have one clock.
 UNDECLARED_PROBABILITY = 0.1
 
-#: Standard deviation of an absent dashpot, in units of the deviation of a present one: the dashpot that gives a mode
-#: its measured ratio without other damping.
-NO_DASHPOT_STD = 1e-3
+#: Standard deviation of an absent dashpot or delay, in units of the deviation of a present one: the dashpot that gives
+#: a mode its measured ratio without other damping; one sample, since the record itself shows longer delays.
+ABSENT_STD = 1e-3
 
 #: Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two.
 NOISE_STD = 1.0
@@ -60,11 +60,11 @@ MASS_STD = 0.05
 #: the model's.
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 
-#: Minimum probability of an answer in the average, relative to the most probable answer.
+#: Minimum probability, relative to the most probable answer, of an answer in the average and of a set that is extended.
 LEAST_WEIGHT = 1e-3
 
-#: Maximum number of changes in a set, and number of sets of each size that are extended.
-MOST_CHANGES, KEPT_SETS = 3, 6
+#: Maximum number of changes in a set.
+MOST_CHANGES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class FrameChange:
     Parameters
     ----------
     kind : str
-        "story", "dashpot", "gain", or "gains" or "masses" for all together.
+        "story", "dashpot", "gain", "delay" (the excitation's last), or "gains" or "masses" for all together.
     place : int
         Story or sensor, from 0.
     columns : ndarray, shape (P, k)
@@ -159,7 +159,7 @@ class FramePrior:
     ----------
     varied : VariedFrame
     others : int
-        Number of noise levels.
+        Number of noise levels and of delays; the delays are last, one for each floor's sensor.
     identified : ndarray, shape (N, N)
         Covariance of the identified log story stiffnesses, given masses and effects.
     measured : ModalRows
@@ -179,16 +179,21 @@ class FramePrior:
         experiment, unit = frame.fitted.experiment, np.eye(sum(varied.sizes) + others)
         story, changed = _expected(StoryChange(), experiment, experiment.stories)
         gain, off = _expected(SensorGain(), experiment, varied.gains)
-        damped = _at_each(UNDECLARED_PROBABILITY, experiment.stories)
+        damped, late = (_at_each(UNDECLARED_PROBABILITY, count) for count in (experiment.stories, varied.gains))
+        delays = range(len(unit) - varied.gains + 1, len(unit))
         changes = [
             FrameChange(kind, place, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
                 ("dashpot", _range(varied.dashpots), 1.0, damped),
                 ("gain", _range(varied.sensor_gains), gain, off),
+                ("delay", delays, 1.0, late),
             )
             for place, at in enumerate(places)
         ]
+        # A late excitation is equivalent to sensors that are all early.
+        common = unit[:, delays].sum(axis=1, keepdims=True)
+        changes.append(FrameChange("delay", len(delays), common, float(np.log(late / (1.0 - late)))))
         laboratory, field = GAIN_STDS
         changes.append(FrameChange("gains", 0, np.sqrt(field**2 - laboratory**2) * unit[:, varied.sensor_gains], 0.0))
         if varied.heavier_floors.shape[1]:
@@ -234,8 +239,10 @@ class FramePrior:
         rest = np.diag(np.concatenate([nuisances, np.full(X, form_std**2)]))
         tested = linalg.block_diag(self.identified, rest)
         own = self.varied.own_std
-        damping = np.diag(np.append(own, np.full(D - len(own), NO_DASHPOT_STD)) ** 2)
-        whole = linalg.block_diag(self.identified, damping, rest, NOISE_STD**2 * np.eye(self.others))
+        damping = np.diag(np.append(own, np.full(D - len(own), ABSENT_STD)) ** 2)
+        late = self.varied.gains - 1
+        others = np.repeat([NOISE_STD, ABSENT_STD], [self.others - late, late]) ** 2
+        whole = linalg.block_diag(self.identified, damping, rest, np.diag(others))
         # The record's stiffnesses are the tests' stiffnesses times factors: both change with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified
@@ -347,19 +354,21 @@ class FrameAnswer:
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[FrameAnswer, ...]:
     """List the possible sets of changes and errors of form, by the evidence of the linearized likelihood.
 
-    Sets of each size extend the best sets of the previous size. All standard deviations of the errors of form have the
-    same prior probability.
+    Sets of each size extend the probable sets of the previous size. All standard deviations of the errors of form have
+    the same prior probability.
     """
     scores: dict[tuple[tuple[int, ...], float], float] = {}
     for form_std in FORM_STDS:
         linear = Linear(at, p, prior.gaussian((), form_std))
         level: list[tuple[int, ...]] = [()]
+        best = -np.inf
         for _ in range(MOST_CHANGES + 1):
             odds = [sum(prior.changes[each].log_odds for each in chosen) for chosen in level]
             evidences = linear.evidences(prior.changes, level)
             own = {chosen: one + other for chosen, one, other in zip(level, odds, evidences, strict=True)}
             scores |= {(chosen, form_std): score for chosen, score in own.items()}
-            kept = ranking.ranked(own, own.__getitem__)[:KEPT_SETS]
+            best = max([best, *own.values()])
+            kept = [each for each in level if own[each] > best + np.log(LEAST_WEIGHT)]
             pairs = itertools.product(kept, range(len(prior.changes)))
             level = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
     order = ranking.ranked(scores, scores.__getitem__)

@@ -16,6 +16,7 @@ expected curvature (Fisher scoring), so that a Gauss-Newton step stays one least
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from cvxshear.response import state_space
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood
+from cvxshear.response.frame_prior import ABSENT_STD, Gaussian, Likelihood
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Noise, Setting
 from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
@@ -146,26 +147,38 @@ class Segment:
         Accelerations, spikes and gaps filled in.
     channels : ndarray of bool, shape (m,)
         The sensors that recorded.
+    slopes : ndarray, shape (samples, m)
+        Change of each acceleration per sample.
     """
 
     excitation: Floats
     y: Floats
     channels: Bools
+    slopes: Floats
 
     @property
     def seen(self) -> Floats:
         """Accelerations of the sensors that recorded, shape (samples, recording sensors)."""
         return self.y[:, self.channels]
 
-    def strongest(self, most: int) -> slice:
-        """Find the part of at most `most` samples with the strongest motion; all channels have the same weight."""
-        samples = len(self.y)
-        if samples <= most:
-            return slice(0, samples)
-        scale = np.maximum(np.mean(self.y**2, axis=0), 1e-300)
-        power = np.concatenate([[0.0], np.cumsum(np.sum(self.y**2 / scale, axis=1))])
-        first = int(np.argmax(power[most:] - power[:-most]))
-        return slice(first, first + most)
+    def part(self, rows: slice) -> Segment:
+        """Return a part of the segment."""
+        return Segment(self.excitation[rows], self.y[rows], self.channels, self.slopes[rows])
+
+    def on_time(self, late: Floats) -> Segment:
+        """Return the segment without small delays of the sensors, in samples, shape (m,)."""
+        return dataclasses.replace(self, y=self.y + self.slopes * late)
+
+
+def strongest(y: Floats, most: int) -> slice:
+    """Find the part of at most `most` samples with the strongest motion; all channels have the same weight."""
+    samples = len(y)
+    if samples <= most:
+        return slice(0, samples)
+    scale = np.maximum(np.mean(y**2, axis=0), 1e-300)
+    power = np.concatenate([[0.0], np.cumsum(np.sum(y**2 / scale, axis=1))])
+    first = int(np.argmax(power[most:] - power[:-most]))
+    return slice(first, first + most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +199,8 @@ class Directions:
 class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
-    The unknowns are the frame's (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
-    of the excitation's noise.
+    The unknowns are the frame's (`VariedFrame`), the logarithms of m sensor noises, of the missed story forces, and of
+    the excitation's noise, and the delay of each sensor in samples.
 
     Parameters
     ----------
@@ -199,14 +212,16 @@ class PredictionErrors:
         self.varied, self.setting, self.stretches, self.noise = varied, setting, stretches, noise
         self.stories = len(varied.story_stiffness)
         self.frame = slice(0, sum(varied.sizes))
-        self.size = self.frame.stop + len(setting.floors) + 2
+        self.levels = slice(self.frame.stop, self.frame.stop + len(setting.floors) + 2)
+        self.delays = slice(self.levels.stop, self.levels.stop + len(setting.floors))
+        self.size = self.delays.stop
 
     def bounds(self, prior: Gaussian) -> tuple[Floats, Floats]:
         """Return lower and upper bounds of the unknowns, shape (P,)."""
         far = FURTHEST_STDS * np.sqrt(np.diag(prior.covariance))
         lower, upper = -far, far
-        lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * NO_DASHPOT_STD)
-        force = self.size - 2
+        lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * ABSENT_STD)
+        force = self.levels.stop - 2
         lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
         upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_NOISE)
         lower[force + 1] = -upper[force + 1]
@@ -219,8 +234,7 @@ class PredictionErrors:
 
     def shortened(self, most: int) -> PredictionErrors:
         """Return the strongest part of each segment, of at most `most` samples."""
-        pairs = [(each, each.strongest(most)) for each in self.stretches]
-        parts = [Segment(each.excitation[part], each.y[part], each.channels) for each, part in pairs]
+        parts = [each.part(strongest(each.y, most)) for each in self.stretches]
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
@@ -240,7 +254,7 @@ class PredictionErrors:
         model = self.dynamics(p)
         sets: dict[bytes, list[tuple[Segment, Floats]]] = {}
         for run, spread in zip(self.stretches, self.spreads, strict=True):
-            sets.setdefault(run.channels.tobytes(), []).append((run, spread))
+            sets.setdefault(run.channels.tobytes(), []).append((run.on_time(p[self.delays]), spread))
         return [(Filter.settled(model.seen_by(runs[0][0].channels)), runs) for runs in sets.values()]
 
     def model(self, p: Floats) -> DampedModel:
@@ -249,7 +263,7 @@ class PredictionErrors:
 
     def noise_at(self, p: Floats) -> Noise:
         """Return the noise at these unknowns."""
-        levels = np.exp(p[self.frame.stop :])
+        levels = np.exp(p[self.levels])
         m = len(self.setting.floors)
         force, ground = self.noise.force * levels[m], self.noise.ground * levels[m + 1]
         return Noise(self.noise.sensors * levels[:m], float(force), float(ground))
@@ -297,7 +311,7 @@ class PredictionErrors:
         # Directions that the record cannot distinguish keep a pivot of the size of rounding.
         np.fill_diagonal(products, (1.0 + len(products) * ROUNDING) * products.diagonal() + np.finfo(np.float64).tiny)
         whole = np.asarray(np.linalg.cholesky(products), dtype=np.float64).T
-        frame = along.columns.shape[1] - (self.size - self.frame.stop)
+        frame = np.count_nonzero(np.any(along.columns[self.frame] != 0, axis=0))
         return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(parts, frame))
 
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
@@ -306,9 +320,10 @@ class PredictionErrors:
         rates = state_space.slopes(
             self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes
         )
+        rates["late"] = columns[self.delays].T
         parts: list[_Rows] = []
         for here, runs in self._filtered(p):
-            seen = {name: each[:, runs[0][0].channels] if name in ("H", "direct", "R") else each
+            seen = {name: each[:, runs[0][0].channels] if name in ("H", "direct", "R", "late") else each
                     for name, each in rates.items()}  # fmt: skip
             parts += _rows_of(here, runs, seen)
         return parts
@@ -392,14 +407,14 @@ def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: 
     """Differentiate the innovations of a segment along r directions, shape (samples, r, m)."""
     model, K, dH, direct = here.model, here.K, rates["H"], rates["direct"]
     dF = rates["A"] - dK @ model.H - K @ dH
-    signals = np.hstack(
-        [x, run.seen - model.shown(run.excitation), state_space.steps_of(run.excitation), run.excitation[:, 1:]]
-    )
+    late, slopes = rates["late"], run.slopes[:, run.channels]
+    lines, p = state_space.steps_of(run.excitation), run.excitation[:, 1:]
+    signals = np.hstack([x, run.seen - model.shown(run.excitation), lines, p, slopes])
     changes = [dF.swapaxes(1, 2), dK.swapaxes(1, 2), rates["before"][:, None], rates["after"][:, None]]
-    # y - D p changes by -D' p; the gain turns this into a change of the state.
-    driven = np.concatenate([*changes, -(direct @ K.T)[:, None]], axis=1)
+    # y - D p changes by -D' p and by the delays; the gain turns this into a change of the state.
+    driven = np.concatenate([*changes, -(direct @ K.T)[:, None], late[:, :, None] * K.T], axis=1)
     driven = driven.swapaxes(0, 1).reshape(signals.shape[1], -1)
-    J = -(x @ dH.swapaxes(1, 2) + run.excitation[:, 1:] * direct[:, None]).swapaxes(0, 1)
+    J = slopes[:, None] * late - (x @ dH.swapaxes(1, 2) + p * direct[:, None]).swapaxes(0, 1)
     turned, state = np.ascontiguousarray(here.F.T), np.zeros(dF.shape[:2])
     # By blocks: the derivatives of all states together would need much memory.
     for first in range(0, len(x), BLOCK):

@@ -15,10 +15,9 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response import sources, uncertain
-from cvxshear.response.compare import RecordComparison, as_predicted, compared
-from cvxshear.response.damping import DampedModel
-from cvxshear.response.recording import recording_of
-from cvxshear.response.state_space import Response, response
+from cvxshear.response.compare import RecordComparison, as_predicted, compared, predicted_responses, without_drift
+from cvxshear.response.recording import RecordSource, recording_of
+from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
@@ -263,7 +262,7 @@ class RecordPrediction(Shown):
 @usual_arithmetic
 def predict(
     source: sources.ModelSource,
-    record: sources.MotionSource,
+    record: RecordSource,
     backend: str | Backend = "auto",
     *,
     damping: str | None = None,
@@ -301,42 +300,36 @@ def predict(
     NoSolutionError
         If the backend does not solve a program.
     """
-    solver = backends.get(backend)
-    recorded = sources.motion_of(record)
-    models = sources.models_of(source, solver, assume)
-    experiment = models.after.experiment
-    state = sources.state_of(experiment, recorded, configuration)
-    frame_after = uncertain.UncertainFrame.of(models.after, state, damping, solver)
-    recorded, faults = _set_right(recorded, frame_after.at(np.zeros(frame_after.size)).model)
-    motion = recorded.detrended() if detrend else recorded
+    models, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
+    motion = without_drift(frame.centre.model, recorded) if detrend else recorded
     before = None
     if models.before is not None:
-        frame = uncertain.UncertainFrame.of(models.before, state, damping, solver)
-        before = _model_response(models.before, frame.at(np.zeros(frame.size)), motion)
-    found = _predicted(models, frame_after, motion, before)
-    said = [
-        *sources.state_remarks(experiment, recorded, state, named=configuration is not None),
-        *_taken_off(recorded, motion),
-    ]
-    # The comparison may repeat remarks that the model made on the sensors before.
-    said += [each for each in found.remarks if each not in faults]
+        other = dataclasses.replace(frame, fitted=models.before)
+        before = _model_response(models.before, other.centre, motion)
+    found = _predicted(models, frame, motion, before)
+    named = configuration is not None
+    said = [*sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)]
+    said += [*sources.line_remarks(recorded, motion), *found.remarks]
     if found.limits is not None and found.passed is None:
         said.append(NO_HEIGHTS)
-    return dataclasses.replace(found, remarks=(*faults, *said))
+    return dataclasses.replace(found, remarks=(*recorded.remarks, *said))
 
 
-def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, tuple[str, ...]]:
-    """Return a record with the corrections of its sensors that `reconstruct` makes, and remarks on them."""
-    forces = {driven.floor for driven in motion.runs}
-    known = all(driven.responses is not None and np.isfinite(driven.responses).any() for driven in motion.runs)
-    if not motion.floors.size or not known or len(forces) > 1:
-        return motion, ()
-    found = as_predicted(model, recording_of(motion, len(model.M)))
-    runs = tuple(
-        dataclasses.replace(driven, excitation=run.excitation, responses=run.measured)
-        for driven, run in zip(motion.runs, found.runs, strict=True)
-    )
-    return dataclasses.replace(motion, runs=runs, floors=found.floors), found.remarks
+def set_up(
+    source: sources.ModelSource,
+    record: RecordSource,
+    backend: str | Backend,
+    damping: str | None,
+    configuration: str | None,
+    assume: Sequence[str | LocatedEffect],
+) -> tuple[sources.Models, uncertain.UncertainFrame, DrivenRecord]:
+    """Return the models, the final one in the state of the record, and the record with corrected sensors."""
+    solver = backends.get(backend)
+    models = sources.models_of(source, solver, assume)
+    recorded = recording_of(record, models.after.experiment.stories)
+    state = sources.state_of(models.after.experiment, recorded, configuration)
+    frame = uncertain.UncertainFrame.of(models.after, state, damping, solver)
+    return models, frame, as_predicted(frame.centre.model, recorded)
 
 
 def _predicted(
@@ -345,7 +338,7 @@ def _predicted(
     """Predict with the final model; one propagation gives all standard deviations."""
 
     def everything(damped: uncertain.Damped, driven: DrivenRecord = motion) -> dict[str, Floats]:
-        responses = _responses(damped, driven)
+        responses = predicted_responses(damped.model, driven)
         bands = {
             f"{name} over time {run}": values
             for run, moved in enumerate(responses)
@@ -354,7 +347,7 @@ def _predicted(
         }
         return uncertain.parts_of(damped) | _largest(responses) | bands | {"f": np.log(damped.model.modes.frequencies)}
 
-    centre, std = uncertain.propagated(frame, everything)
+    centre, std = frame.centre, uncertain.propagated(frame, everything)
     # The excitation between its samples is unknown: it may be linear or band-limited.
     straight, limited = everything(centre), everything(centre, motion.band_limited())
     std = {name: np.hypot(own, limited[name] - straight[name]) for name, own in std.items()}
@@ -368,7 +361,7 @@ def _predicted(
     peaks = Peaks(values, {name: np.hypot(std[name], (missed or 0.0) * peak) for name, peak in values.items()})
     changes = (np.abs(limited[name] - peak) / np.maximum(peak, 1e-300) for name, peak in values.items())
     unseen = max(float(np.max(each)) for each in changes)
-    damping = uncertain.described(frame, centre, std)
+    damping = uncertain.described(frame, std)
     said = (*damping.remarks, *_reading_remarks(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
         motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
@@ -401,32 +394,13 @@ def _largest(responses: Sequence[Response]) -> dict[str, Floats]:
     return peaks_of((each, {}) for each in responses).values
 
 
-def _responses(damped: uncertain.Damped, motion: DrivenRecord) -> list[Response]:
-    return [response(damped.model, driven, motion.step) for driven in motion.runs]
-
-
 def _model_response(
     fitted: sources.Fitted, damped: uncertain.Damped, motion: DrivenRecord, frequency_std: Floats | None = None
 ) -> ModelResponse:
-    responses = tuple(_responses(damped, motion))
+    responses = tuple(predicted_responses(damped.model, motion))
     tested = fitted.experiment.configurations
     modes = np.unique(np.concatenate([each.modes for each in tested]))
     return ModelResponse(fitted, damped, responses, compared(damped.model, responses, motion, modes, frequency_std))
-
-
-def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
-    """Report the size of the straight lines that were removed as sensor faults, if they are large enough."""
-    names = ["the base motion", *(f"floor {floor}" for floor in recorded.floors)]
-    found = [(0.0, "")]
-    for before, after in zip(recorded.runs, motion.runs, strict=True):
-        old, new = (
-            np.column_stack([run.excitation, *([] if run.responses is None else [run.responses])])
-            for run in (before, after)
-        )
-        line, rms = np.nanmax(np.abs(old - new), axis=0), np.sqrt(np.nanmean(new**2, axis=0))
-        found += zip((line / np.where(rms > 0, rms, np.inf)).tolist(), names, strict=False)
-    largest, where = max(found)
-    return sources.line_remarks(largest, f"the rms ({where})")
 
 
 def _reading_remarks(unseen: float, excitation: str) -> list[str]:
@@ -445,17 +419,14 @@ def _remarks(after: ModelResponse, motion: DrivenRecord) -> list[str]:
     if after.fitted.undetermined:
         names = "; ".join(listed(names) for names in after.fitted.undetermined)
         said.append(f"not determined by the measurement: {names}; the deviations do not include that")
-    if after.comparison is not None and after.comparison.contradiction:
-        said.append(after.comparison.contradiction)
     if after.fitted.covariance is None:
         said.append("no standard deviations: the measurement declares no noise and has no data left to estimate it by")
     if not after.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if not motion.floors.size:
         said.append("the record has no accelerations of floors to compare with")
-    recorded = [each.responses for each in motion.runs if each.responses is not None]
-    gaps = [~np.isfinite(each).all(axis=0) for each in recorded]
-    if gaps and (beside := motion.floors[np.any(gaps, axis=0)].tolist()):
+    gaps = np.any([~np.isfinite(each.measured).all(axis=0) for each in motion.runs], axis=0)
+    if beside := motion.floors[gaps].tolist():
         said.append(f"samples of {numbered('floor', beside)} are missing: not compared here; reconstruct takes gaps")
     if after.comparison is not None and after.comparison.shifts:
         shifts = "; ".join(str(shift) for shift in after.comparison.shifts)

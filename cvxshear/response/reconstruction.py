@@ -16,21 +16,21 @@ from itertools import pairwise
 import numpy as np
 from scipy import special
 
-from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
+from cvxshear.records.motion import DrivenRecord
 from cvxshear.response import frame_motion, sources
-from cvxshear.response.compare import as_predicted, predicted_responses, readings_of, seen
+from cvxshear.response.compare import predicted_responses, readings_of, without_drift
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_prior import GAIN_STDS
-from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of
-from cvxshear.response.recording import Recording, RecordingSource, recording_of
+from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of, set_up
+from cvxshear.response.recording import RecordSource
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Bools, Floats, Ints, Json
@@ -52,7 +52,7 @@ class Reconstruction(Shown):
 
     Parameters
     ----------
-    recording : Recording
+    recording : DrivenRecord
         The recording after the corrections of its sensors.
     configuration : Configuration
     backend : str
@@ -76,7 +76,7 @@ class Reconstruction(Shown):
     remarks : tuple of str
     """
 
-    recording: Recording
+    recording: DrivenRecord
     configuration: Configuration
     backend: str
     fitted: sources.Fitted
@@ -288,15 +288,12 @@ def _warnings(found: Reconstruction) -> list[str]:
     return said
 
 
-def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
+def remarks_of(found: Reconstruction) -> list[str]:
     """Collect remarks that the reader needs besides the numbers."""
     said = [
         "residual displacement is out of reach: accelerations do not show where a floor comes to rest, and the model "
         "returns to where it began"
     ]
-    pairs = zip(recorded.runs, found.recording.runs, strict=True)
-    line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    said += sources.line_remarks(line, "a channel's rms")
     if found.recording.input == "base" and found.fitted.mass_known and found.frame.scale_std == 0:
         said.append(
             "base motion does not tell how heavy the frame is: were all floors heavier than in the tests by one part, "
@@ -319,7 +316,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
 @usual_arithmetic
 def reconstruct(
     source: sources.ModelSource,
-    record: RecordingSource,
+    record: RecordSource,
     backend: str | Backend = "auto",
     *,
     damping: str | None = None,
@@ -366,43 +363,41 @@ def reconstruct(
     NoSolutionError
         If the backend does not solve a program.
     """
-    solver = backends.get(backend)
-    models = sources.models_of(source, solver, assume)
-    experiment = models.after.experiment
-    recording = recording_of(record, experiment.stories)
-    state = sources.state_of(experiment, recording, configuration)
-    frame = UncertainFrame.of(models.after, state, damping, solver)
-    identified = frame.at(np.zeros(frame.size)).model
-    recording = recorded = as_predicted(identified, recording)
-    if detrend:
-        recording = recording.without_base_line()
-    readings = readings_of(identified, recording)
-    done, parts = itertools.count(1), 2 + (len(recording.floors) if leave_out else 0)
+    models, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
+    if not recorded.floors.size:
+        raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
+    if len({run.floor for run in recorded.runs}) > 1:
+        raise InputError(f"{recorded.name}: the force acts on several floors; reconstruct these runs one by one")
+    identified = frame.centre.model
+    readings = readings_of(identified, without_drift(identified, recorded) if detrend else recorded)
+    done, parts = itertools.count(1), 2 + (len(recorded.floors) if leave_out else 0)
 
     def advance() -> None:
         if progress is not None:
             progress(next(done), parts)
 
-    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, identified, fit=fit, detrend=detrend)
+    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, fit=fit, detrend=detrend)
     advance()
     predicted = predicted_responses(identified, work.recording)
     checks = []
-    for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
+    for channel in range(len(recorded.floors)) if leave_out and len(recorded.floors) > 1 else ():
         checks.append(frame_motion.checked(work, fitted, smoothed, channel, predicted))
         advance()
     runs = work.runs(fitted, frame_motion.widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
     peaks = peaks_of((run.response, run.std) for run in runs)
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fallback,
+        work.recording, frame.configuration, frame.backend.name, frame.fitted, frame.kind, fitted, work.free, fallback,
         tuple(runs), peaks, peaks_of((item, {}) for item in predicted), tuple(checks),
         np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), (),
     )  # fmt: skip
     advance()
-    said = sources.state_remarks(experiment, recording, state, named=configuration is not None)
+    named = configuration is not None
+    said = sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)
     if len(evidences) > 1:
-        said.append(_reading_remark(sources.DRIVING[recording.input], *evidences))
-    return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
+        said.append(_reading_remark(sources.DRIVING[recorded.input], *evidences))
+    said += sources.line_remarks(recorded, work.recording)
+    return dataclasses.replace(found, remarks=(*said, *remarks_of(found)))
 
 
 #: The setup of the motion, the frame, and its motion with only the first states.
@@ -410,7 +405,7 @@ _Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed]]
 
 
 def _motion(
-    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
+    frame: UncertainFrame, readings: Sequence[DrivenRecord], *, fit: bool, detrend: bool
 ) -> tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
@@ -425,14 +420,14 @@ def _motion(
     fallback = ""
     if fit:
         try:
-            best, evidences = _most_probable(frame, readings, identified, free=True, detrend=detrend)
-            fallback = _implausible(best[1]) if best[0].free else ""
+            best, evidences = _most_probable(frame, readings, free=True, detrend=detrend)
+            fallback = _implausible(best[1])
         except (np.linalg.LinAlgError, NoModesError, NoSolutionError):
             fallback = "the fit of the frame failed"
         if not fallback:
             return *best, evidences, ""
     try:
-        best, evidences = _most_probable(frame, readings, identified, free=False, detrend=detrend)
+        best, evidences = _most_probable(frame, readings, free=False, detrend=detrend)
     except (np.linalg.LinAlgError, NoModesError) as error:
         raise UnsuitableError(f"{readings[0].name}: no motion of this frame comes near the record ({error})") from error
     work, fitted, smoothed = best
@@ -457,16 +452,12 @@ def _implausible(fitted: FittedFrame) -> str:
 
 
 def _most_probable(
-    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
+    frame: UncertainFrame, readings: Sequence[DrivenRecord], *, free: bool, detrend: bool
 ) -> tuple[_Fit, list[float]]:
     """Return the most probable fit, and the log evidence of each reading."""
 
-    def fit(reading: Recording) -> _Fit:
-        if detrend:
-            moved = predicted_responses(identified, reading)
-            reading = reading.without_lines([seen(identified, own, reading.floors) for own in moved])
-        work = frame_motion.FrameMotion.around(frame, reading, free=free)
-        work, fitted, smoothed = work.fitted(detrend=detrend)
+    def fit(reading: DrivenRecord) -> _Fit:
+        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, reading, free=free).fitted(detrend=detrend)
         # The states of a long record need much memory; `runs` computes them again with their deviations.
         return work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
 

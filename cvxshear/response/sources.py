@@ -12,13 +12,10 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
-from cvxshear.io import modes, record_tables, toml
+from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
-from cvxshear.records import Record
 from cvxshear.records.motion import DrivenRecord
-from cvxshear.records.record import FrfRecord, TimeRecord
-from cvxshear.response.recording import Recording
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
@@ -124,7 +121,6 @@ class Models:
 DRIVING = {"base": "base motion", "force": "force"}
 
 ModelSource = str | Path | Experiment | LoopResult | Estimate | Models
-MotionSource = str | Path | Record | DrivenRecord
 
 
 def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | LocatedEffect] = ()) -> Models:
@@ -195,26 +191,7 @@ def models_of_loop(closure: LoopResult) -> Models:
     return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
 
 
-def motion_of(source: MotionSource) -> DrivenRecord:
-    """Read the excitation of the frame from a record file or a record.
-
-    Raises
-    ------
-    InputError
-        If the source does not describe the excitation.
-    """
-    if isinstance(source, DrivenRecord):
-        return source
-    if isinstance(source, TimeRecord | FrfRecord):
-        return DrivenRecord.of(source)
-    if not isinstance(source, str | Path):
-        raise InputError(
-            f"what drives a frame is a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
-        )
-    return record_tables.read_motion(source)
-
-
-def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:
+def state_of(experiment: Experiment, record: DrivenRecord, name: str | None = None) -> Configuration:
     """Find the configuration of the frame during the record.
 
     Parameters
@@ -258,7 +235,7 @@ def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str
 
 
 def state_remarks(
-    experiment: Experiment, record: DrivenRecord | Recording, configuration: Configuration, *, named: bool
+    experiment: Experiment, record: DrivenRecord, configuration: Configuration, *, named: bool
 ) -> list[str]:
     """Report assumptions of `state_of` about the state of the frame; no assumption is needed if the user named it."""
     if record.state is not None and record.state != configuration.state:
@@ -281,13 +258,15 @@ def state_remarks(
 WORTH_A_WORD = 0.01
 
 
-def line_remarks(size: float, where: str) -> list[str]:
-    """Report the size of the sensors' straight lines, relative to the rms of a channel, if it is large enough."""
-    if size < WORTH_A_WORD:
+def line_remarks(before: DrivenRecord, after: DrivenRecord) -> list[str]:
+    """Report the largest straight line that was removed as a fault of its sensor, if it is large enough."""
+    names = [f"the {DRIVING[before.input]}", *(f"floor {floor}" for floor in before.floors)]
+    lines = np.max(np.nan_to_num(np.abs(before.columns() - after.columns())), axis=0) / np.maximum(after.rms(), 1e-300)
+    if np.max(lines) < WORTH_A_WORD:
         return []
     return [
-        f"a straight line of up to {percent(size, 1)} of {where} was taken for its sensor's and off; --no-detrend "
-        "leaves it in"
+        f"a straight line of up to {percent(float(np.max(lines)), 1)} of the rms ({names[int(np.argmax(lines))]}) was "
+        "taken for its sensor's and off; --no-detrend leaves it in"
     ]
 
 

@@ -192,7 +192,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     moved = noise.ground * (before + after)
     at = setting.floors - 1
     H, direct = total[at] * model.gain[at, None], through[at] * model.gain[at]
-    outputs = _outputs(model, total, through, setting)
+    outputs = _outputs(model, total, through, setting.force_floor)
     return Dynamics(A, before, after, Q + np.outer(moved, moved), H, direct, noise.sensors**2, outputs)
 
 
@@ -225,14 +225,14 @@ def _motion(model: DampedModel, force_floor: int) -> tuple[Floats, Floats, Float
     return rates, np.append(np.zeros(N), through if force_floor else np.full(N, -model.input_gain)), through
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> StateOutputs:
+def _outputs(model: DampedModel, total: Floats, through: Floats, force_floor: int) -> StateOutputs:
     """Return the rows of the reported quantities from the rows of the total accelerations."""
     N = len(model.M)
-    moved = np.eye(N, setting.states)
+    moved = np.eye(N, total.shape[1])
     above = np.triu(np.ones((N, N)))
     shear, direct = -above @ model.M @ total, -above @ model.M @ through
-    if setting.force_floor:
-        direct = direct + model.input_gain * above[:, setting.force_floor - 1]
+    if force_floor:
+        direct = direct + model.input_gain * above[:, force_floor - 1]
     rows = [total, moved, np.diff(moved, axis=0, prepend=0.0), shear]
     weights = [through, np.zeros(2 * N), direct]
     if model.heights is not None:
@@ -395,18 +395,18 @@ def response(model: DampedModel, run: DrivenRun, step: float) -> Response:
     InputError
         If the force acts on a floor that the frame does not have.
     """
-    n, p = len(model.M), run.excitation
+    n = len(model.M)
     if run.floor > n:
         raise InputError(f"the force acts on floor {run.floor} of a frame of {n} stories")
     rates, load, through = _motion(model, run.floor)
     A, before, after, _ = discretized(rates, load, np.zeros_like(rates), step)
-    lines = p if run.between is None else run.between
-    states = recursion(A, np.array([before, after]), steps_of(lines[:, None]), np.zeros(2 * n))
-    acceleration = states @ rates[n:].T + np.outer(p, through)
-    forces = np.zeros((len(p), n))
-    if run.floor:
-        forces[:, run.floor - 1] = model.input_gain * p
-    unbalanced = forces - acceleration @ model.M
-    time = step * np.arange(len(p), dtype=np.float64)
-    story_force = np.cumsum(unbalanced[:, ::-1], axis=1)[:, ::-1]
-    return Response(time, acceleration, states[:, :n], story_force, model.heights, model.mass_known)
+    states = recursion(A, np.array([before, after]), steps_of(run.drive), np.zeros(2 * n))
+    return response_of(model, _outputs(model, rates[n:], through, run.floor).of(states, run.drive), step)
+
+
+def response_of(model: DampedModel, outputs: Floats, step: float) -> Response:
+    """Return the motion that outputs over time describe, shape (samples, outputs), in the order of `StateOutputs`."""
+    n = len(model.M)
+    acceleration, displacement, _, force = (outputs[:, k * n : (k + 1) * n] for k in range(4))
+    time = step * np.arange(len(outputs), dtype=np.float64)
+    return Response(time, acceleration, displacement, force, model.heights, model.mass_known)

@@ -25,6 +25,7 @@ from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.response import damping
 from cvxshear.response.sources import Fitted, covariance_root
 from cvxshear.util import checks
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError, UnsuitableError
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats, T
@@ -121,6 +122,11 @@ class UncertainFrame:
         root: Floats = np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T
         return root
 
+    @cached_property
+    def centre(self) -> Damped:
+        """The frame as fitted."""
+        return self.at(np.zeros(self.size))
+
     def at(self, xi: Floats) -> Damped:
         """Build the damped model at one value of xi.
 
@@ -182,17 +188,11 @@ def with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
             size *= 0.25
 
 
-def propagated(
-    frame: UncertainFrame, function: Callable[[Damped], dict[str, Floats]]
-) -> tuple[Damped, dict[str, Floats]]:
-    """Return the frame as fitted, and the standard deviations of arrays that are functions of the frame.
-
-    The standard deviations are nan if the noise is unknown.
-    """
-    centre = frame.at(np.zeros(frame.size))
-    values = function(centre)
+def propagated(frame: UncertainFrame, function: Callable[[Damped], dict[str, Floats]]) -> dict[str, Floats]:
+    """Return the standard deviations of arrays that are functions of the frame; nan if the noise is unknown."""
+    values = function(frame.centre)
     if not frame.uncertain:
-        return centre, {name: np.full_like(each, np.nan) for name, each in values.items()}
+        return {name: np.full_like(each, np.nan) for name, each in values.items()}
 
     def either_side(xi: Floats, size: float) -> list[dict[str, Floats]]:
         return [function(frame.at(sign * size * xi)) for sign in (1.0, -1.0)]
@@ -202,7 +202,7 @@ def propagated(
         (above, below), size = with_modes(partial(either_side, xi), 1.0)
         for name in values:
             variance[name] += ((above[name] - below[name]) / (2 * size)) ** 2
-    return centre, {name: np.sqrt(each) for name, each in variance.items()}
+    return {name: np.sqrt(each) for name, each in variance.items()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -247,8 +247,9 @@ def parts_of(damped: Damped) -> dict[str, Floats]:
     return {name: values for name, values in parts.items() if values is not None}
 
 
-def described(frame: UncertainFrame, damped: Damped, std: Mapping[str, Floats]) -> IdentifiedDamping:
+def described(frame: UncertainFrame, std: Mapping[str, Floats]) -> IdentifiedDamping:
     """Return the damping with standard deviations of `parts_of`."""
+    damped = frame.centre
     remarks = [*frame.ratios.assumed()]
     if frame.ratios.tested.name != frame.configuration.name:
         remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
@@ -313,6 +314,5 @@ def damping_of(
     if frame.kind == "modal":
         # Modal damping has exactly the measured ratios.
         std = {"ratios": frame.ratios.values * frame.ratios.std}
-        return described(frame, frame.at(np.zeros(frame.size)), std)
-    centre, std = propagated(frame, parts_of)
-    return described(frame, centre, std)
+        return described(frame, std)
+    return described(frame, propagated(frame, parts_of))

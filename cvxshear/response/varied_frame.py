@@ -84,7 +84,7 @@ class VariedFrame:
     @staticmethod
     def around(frame: UncertainFrame, floors: Sequence[int] | Ints = ()) -> VariedFrame:
         """Set up the variations around the most probable values; sensors are on `floors` and on the excitation."""
-        centre = frame.at(np.zeros(frame.size))
+        centre = frame.centre
         if frame.kind == "modal":
             own = frame.ratios.std
         else:

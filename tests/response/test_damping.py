@@ -74,7 +74,7 @@ def test_deviations_are_those_of_samples(kind):
     def numbers(damped):
         return damped.dashpots.values if kind == "story" else damped.rayleigh
 
-    _, std = propagated(frame, parts_of)
+    std = propagated(frame, parts_of)
     drawn = sampled(frame, numbers, 150, np.random.default_rng(3)).std(axis=0)
     # With 150 samples, the sampled deviation itself is known to 6 %.
     np.testing.assert_allclose(std["dashpots" if kind == "story" else kind], drawn, rtol=0.18)

@@ -259,7 +259,7 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
 def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncertain):
     """The unknowns are numbers w times columns; the modes measure some of them with errors of one."""
     frame = VariedFrame.around(uncertain, [1, 3])
-    prior = FramePrior.around(uncertain, frame, 4)
+    prior = FramePrior.around(uncertain, frame, 6)
     (N, D, W, X), size = frame.sizes, sum(frame.sizes)
     form_std, changed = 0.03, (1, 3, 6)
     assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
@@ -270,14 +270,14 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
     seen = prior.measured.J @ tests
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
-    in_tests = np.zeros((size + 4, len(tests)))
+    in_tests = np.zeros((size + 6, len(tests)))
     in_tests[:N, :N], in_tests[N + D : size, N:] = root, tests[N:, N:]
     # Each ratio varies by itself and with all others; the stories do so, too, and may have a factor of their own.
-    own = np.zeros((size + 4, size + 4))
+    own = np.zeros((size + 6, size + 6))
     own[:N, :N] = 0.15**2 + 0.003**2 * np.eye(N)
     own[N : N + N, N : N + N] = 0.5**2 + np.diag(frame.own_std**2 + 0.3**2)
     own[N + N : N + D, N + N : N + D] = 1e-6 * np.eye(N)
-    own[size:, size:] = np.eye(4)
+    own[size:, size:] = np.diag([1.0] * 4 + [1e-6] * 2)
     own[1, 1] += 0.25**2
     own[N + N, N + N] += 1.0
     own[size - X - 3, size - X - 3] += 0.05**2

@@ -7,6 +7,7 @@ from scipy import signal
 from cvxshear.records.motion import band_limited
 from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, response
 from cvxshear.response.predicted import peaks_of
+from cvxshear.response.recording import recording_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking, state_space
 
@@ -122,7 +123,7 @@ def test_excitations_that_cannot_be_right():
     with pytest.raises(InputError, match="has one sample; at least two"):
         DrivenRun([1.0])
     with pytest.raises(InputError, match="zero throughout"):
-        DrivenRecord((DrivenRun([0.0, 0.0]),), 100.0)
+        recording_of(DrivenRecord((DrivenRun([0.0, 0.0]),), 100.0))
     with pytest.raises(InputError, match="responses must be a table of 2 samples by floors"):
         DrivenRun([0.0, 1.0], responses=np.zeros((3, 1)))
     with pytest.raises(InputError, match="the responses have 1 columns, 2 floors are named"):

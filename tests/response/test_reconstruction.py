@@ -18,9 +18,9 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.compare import as_predicted, readings_of
-from cvxshear.response.frame_motion import FrameMotion, Observed, settled_states, smooth
+from cvxshear.response.frame_motion import FrameMotion, settled_states, smooth
 from cvxshear.response.innovations import Directions, Filter, PredictionErrors, Segment
-from cvxshear.response.recording import RecordedRun, Recording, recording_of
+from cvxshear.response.recording import parted, recording_of
 from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
@@ -30,6 +30,8 @@ from tests.response.common import damped_frame, declared, matrices, pole_ratios,
 from tests.studies import reconstruction as study
 
 STEP = 0.01
+START = 1.5
+"""Factor on the standard deviation of the state at the start of a run."""
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +49,13 @@ def three():
     y = exact + np.array([0.05, 0.08]) * rng.standard_normal((60, 2))
     y[20] += 4.0
     y[35:42, 0] = np.nan
-    return model, setting, system, Observed(straight(excitation), y, 1.5)
+    return model, setting, system, DrivenRun(excitation, responses=y)
 
 
 def motion_program(model, run, weights):
     """Return the smoother's program as a table; the unknowns are the states, sample after sample."""
     samples, n = len(run.excitation), len(model.A)
-    driven = model.driven(run.excitation)
+    driven = model.driven(run.drive)
     scaled, sides = [], []
 
     def add(blocks, side):
@@ -63,14 +65,14 @@ def motion_program(model, run, weights):
         scaled.append(row)
         sides.append(side)
 
-    add({0: whitening(run.start_scale**2 * model.P0)}, np.zeros(n))
+    add({0: whitening(START**2 * model.P0)}, np.zeros(n))
     for t in range(samples - 1):
         white = whitening(model.Q)
         add({t + 1: white, t: -white @ model.A}, white @ driven[t])
     for t in range(samples):
         own = weights[t] > 0
         root = np.sqrt(weights[t, own] / model.R[own])
-        side = run.measured[t, own] - model.direct[own] * run.excitation[t, 1]
+        side = run.measured[t, own] - model.direct[own] * run.excitation[t]
         add({t: root[:, None] * model.H[own]}, root * side)
     return LeastSquares(np.concatenate(scaled), np.concatenate(sides))
 
@@ -84,7 +86,7 @@ def whitening(covariance):
 
 def test_the_sweeps_solve_the_program_on_every_backend(three):
     _, _, system, run = three
-    found = smooth(system, run, system.outputs.rows)
+    found = smooth(system, run, system.outputs.rows, START)
     program = motion_program(system, run, found.weights)
     scale = np.abs(found.states).max(axis=0)
     for name in backends.available():
@@ -102,13 +104,13 @@ def test_the_sweeps_solve_the_program_on_every_backend(three):
 
 def kalman(system, run, weights):
     """Return states and covariances by Kalman's filter and the Rauch-Tung-Striebel backward pass, sample by sample."""
-    driven = system.driven(run.excitation)
-    x, P = np.zeros(len(system.A)), run.start_scale**2 * system.P0
+    driven = system.driven(run.drive)
+    x, P = np.zeros(len(system.A)), START**2 * system.P0
     told, foretold = [], []
     for t, row in enumerate(run.measured):
         foretold.append((x, P))
         own = weights[t] > 0
-        H, e = system.H[own], row[own] - system.direct[own] * run.excitation[t, 1] - system.H[own] @ x
+        H, e = system.H[own], row[own] - system.direct[own] * run.excitation[t] - system.H[own] @ x
         gain = np.linalg.solve(H @ P @ H.T + np.diag(system.R[own] / weights[t, own]), H @ P).T
         x, P = x + gain @ e, P - gain @ H @ P
         told.append((x, P))
@@ -130,8 +132,8 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     y = exact + np.array([0.05, 0.08]) * np.random.default_rng(2).standard_normal((samples, 2))
     y[700, 1] += 5.0
     y[900:1250, 0] = np.nan
-    run = Observed(straight(excitation), y, 2.0)
-    found = smooth(system, run, system.outputs.rows)
+    run = DrivenRun(excitation, responses=y)
+    found = smooth(system, run, system.outputs.rows, START)
     states, covariances = kalman(system, run, found.weights)
     np.testing.assert_allclose(
         found.states / np.abs(states).max(axis=0), states / np.abs(states).max(axis=0), atol=1e-4
@@ -141,7 +143,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     # The limit covariance is accurate to a twentieth.
     np.testing.assert_allclose(found.output_std, std, rtol=0.025)
     assert np.sqrt(np.mean((found.output_std / std - 1.0) ** 2)) < 2e-3
-    filled = states @ system.H.T + system.shown(run.excitation)
+    filled = states @ system.H.T + system.shown(run.drive)
     np.testing.assert_allclose(found.completed[900:1250, 0], filled[900:1250, 0], atol=1e-3)
     np.testing.assert_allclose(found.completed[:600], y[:600], atol=1e-9)
 
@@ -173,13 +175,13 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     y = recursion(system.A, np.eye(9), system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
     y += np.sqrt(system.R) * rng.standard_normal(y.shape)
     y[1000:2500, 1] = np.nan
-    found = smooth(system, Observed(excitation, y), np.zeros((0, 9)))
-    run = RecordedRun(y, excitation[:, 0], "")
-    pieces = run.pieces(100)
+    run = DrivenRun(excitation[:, 0], responses=y)
+    found = smooth(system, run, np.zeros((0, 9)))
+    pieces = parted(run, 100)
     assert [(part.start, part.stop, seen.tolist()) for part, seen in pieces] == [
         (0, 1000, [True, True]), (1000, 2500, [True, False]), (2500, 4000, [True, True])
     ]  # fmt: skip
-    assert len(run.pieces(1501)) == 1
+    assert len(parted(run, 1501)) == 1
     states = settled_states(system, excitation, found.completed, found.states[0], pieces)
     scale = np.abs(found.states).max(axis=0)
     away = np.ones(4000, dtype=bool)
@@ -196,7 +198,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
 def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap):
     """Between its samples the force is not linear; floor accelerations respond to a force at once.
 
-    From sample `gap`, one sensor recorded no data; its placeholder values must have no influence.
+    From sample `gap`, one sensor recorded no data; its placeholder values must have no influence. The sensors are late.
     """
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
@@ -216,7 +218,11 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     sensors = np.array([[True, True], [True, False]])
     y[gap:, 1] = 1e3
     parts = [part for part in (slice(0, gap), slice(gap, 500)) if part.start < 500]
-    stretches = [Segment(both[part], y[part], seen) for part, seen in zip(parts, sensors, strict=False)]
+    slopes = np.gradient(y[:gap], axis=0)
+    slopes = np.concatenate([slopes, np.zeros((500 - gap, 2))])
+    slopes[gap:, 0] = np.gradient(y[gap:, 0]) if gap < 500 else 0.0
+    pairs = list(zip(parts, sensors, strict=False))
+    stretches = [Segment(both[part], y[part], seen, slopes[part]) for part, seen in pairs]
     errors = PredictionErrors(VariedFrame.around(frame), setting, stretches, Noise(np.array([0.03, 0.02]), 0.02))
     p = 0.02 * rng.standard_normal(errors.size)
     at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
@@ -224,14 +230,14 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     differences = [(errors.objective(p + row) - errors.objective(p - row)) / 2e-4 for row in step]
     np.testing.assert_allclose(2 * at.U.T @ at.c, differences, rtol=1e-3, atol=0.05)
     # The settled filter's own objective by the plain recursion, minimized over the initial state L z.
-    total = 0.0
+    total, on_time = 0.0, y + slopes * p[errors.delays]
     for part, seen, L in zip(parts, sensors, errors.spreads, strict=False):
         filtered = Filter.settled(errors.dynamics(p).seen_by(seen))
         white = np.linalg.inv(np.linalg.cholesky(filtered.S))
         driven = filtered.model.driven(both[part])
         x, moved, rows, sides = np.zeros(9), L, [np.eye(9)], [np.zeros(9)]
         for t in range(part.start, part.stop):
-            e = y[t, seen] - filtered.model.H @ x - filtered.model.direct * excitation[t]
+            e = on_time[t, seen] - filtered.model.H @ x - filtered.model.direct * excitation[t]
             rows.append(white @ filtered.model.H @ moved)
             sides.append(white @ e)
             total += np.linalg.slogdet(filtered.S)[1]
@@ -289,7 +295,7 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
     moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
     assert np.all(moved <= 0.5 * again.peaks.std["story_drift"])
     (said,) = again.warnings
-    late = re.match(r'the clock of "floor 3" is (\S+) ms late .*; taken out$', said)
+    late = re.match(r"the clock of the sensor of floor 3 is (\S+) ms late .*; taken out$", said)
     assert float(late[1]) == pytest.approx(5.0, abs=0.5)
 
 
@@ -356,14 +362,14 @@ def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     ground = shaking(100, STEP)
     exact = response(model, DrivenRun(ground), STEP).acceleration * model.gain
     floors = np.array([1, 2, 3])
-    wrong = Recording((RecordedRun(exact * [1.0, 1.0, -1.0], ground, "run"),), 1 / STEP, floors, "base")
+    wrong = DrivenRecord((DrivenRun(ground, responses=exact * [1.0, 1.0, -1.0]),), 1 / STEP, "base", floors)
     found = as_predicted(model, wrong)
     np.testing.assert_allclose(found.runs[0].measured, exact)
     (said,) = found.remarks
     assert said.startswith("the sensor of floor 3 is reversed")
     assert as_predicted(model, found).remarks == found.remarks
     # If most sensors move against the prediction, the ground's own sign can be wrong.
-    several = dataclasses.replace(wrong, runs=(RecordedRun(exact * [-1.0, 1.0, -1.0], ground, "run"),))
+    several = dataclasses.replace(wrong, runs=(DrivenRun(ground, responses=exact * [-1.0, 1.0, -1.0]),))
     np.testing.assert_allclose(as_predicted(model, several).runs[0].measured, several.runs[0].measured)
 
 
@@ -570,10 +576,6 @@ def test_records_that_cannot_be_reconstructed_are_refused():
     y = np.zeros((200, 1))
     with pytest.raises(InputError, match="the channel on floor 2 shows no motion"):
         recording_of(DrivenRecord((DrivenRun(shaking(200), responses=y),), 100.0, floors=np.array([2])))
-    with pytest.raises(InputError, match="no floor's acceleration was recorded"):
-        recording_of(DrivenRecord((DrivenRun(shaking(200)),), 100.0))
-    with pytest.raises(InputError, match="a reconstruction needs a record file"):
-        recording_of(3)
 
 
 def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
@@ -591,12 +593,18 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
         with pytest.raises(InputError, match="run 1: the input channel shows no motion but a straight line"):
             reconstruct(experiment, recorded(still))
     with pytest.raises(InputError, match="run 1: the input channel is zero throughout"):
-        recorded(np.zeros(400))
+        reconstruct(experiment, recorded(np.zeros(400)))
+    bare = DrivenRecord((DrivenRun(slow),), 1 / STEP)
+    with pytest.raises(InputError, match="no floor's acceleration was recorded"):
+        reconstruct(experiment, bare)
+    forced = [DrivenRun(slow, floor, shaking(400)[:, None]) for floor in (1, 2)]
+    with pytest.raises(InputError, match="the force acts on several floors"):
+        reconstruct(experiment, DrivenRecord(tuple(forced), 1 / STEP, "force", np.array([2])))
     assert len(readings_of(model, recording_of(recorded(slow)))) == 1
     lines, smooth_one = readings_of(model, recording_of(recorded(shaking(400))))
     np.testing.assert_allclose(smooth_one.runs[0].measured, lines.runs[0].measured)
     nobodys = TimeRecord((Channel("f2", 2),), runs=(Run(shaking(400)[:, None]),), sampling_rate=1 / STEP)
-    with pytest.raises(InputError, match='has input = "none"; a reconstruction needs what drove the frame'):
+    with pytest.raises(InputError, match='has input = "none"; what drove the frame in time is needed'):
         recording_of(nobodys)
 
 

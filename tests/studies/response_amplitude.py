@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy import signal
 
+from cvxshear.records.motion import trend
 from cvxshear.response import predict
-from cvxshear.response.sources import motion_of
+from cvxshear.response.recording import recording_of
 from tests.records.shared import mini_table
 from tests.studies.response_records import FRAMES, RECORDS, models
 
@@ -35,7 +36,11 @@ STILL = 4.0
 @functools.cache
 def motion(name):
     with tempfile.TemporaryDirectory() as folder:
-        return motion_of(mini_table(Path(folder), name)).detrended()
+        record = recording_of(mini_table(Path(folder), name))
+    return record.replaced(
+        excitation=(run.excitation - trend(run.excitation) for run in record.runs),
+        responses=(run.measured - trend(run.measured) for run in record.runs),
+    )
 
 
 def decay(name):

@@ -58,8 +58,9 @@ def true_peaks(stories, drive):
 def deviation(seed, stories, kind):
     """Return errors of the predicted peaks in stated standard deviations."""
     drive = DrivenRun(shaking(1000, STEP))
-    centre, std = propagated(uncertain(stories, kind, seed), partial(peaks, drive=drive))
-    return (peaks(centre, drive)["peaks"] - true_peaks(stories, drive)) / std["peaks"]
+    frame = uncertain(stories, kind, seed)
+    std = propagated(frame, partial(peaks, drive=drive))
+    return (peaks(frame.centre, drive)["peaks"] - true_peaks(stories, drive)) / std["peaks"]
 
 
 def coverage(stories, kind, trials, jobs=1):
@@ -72,7 +73,7 @@ def linear_over_sampled(stories, kind, samples=400):
     """Return the ratio of stated to sampled deviations, one per peak."""
     function = partial(peaks, drive=DrivenRun(shaking(1000, STEP)))
     frame = uncertain(stories, kind, 0)
-    _, std = propagated(frame, function)
+    std = propagated(frame, function)
     drawn = sampled(frame, lambda damped: function(damped)["peaks"], samples, np.random.default_rng(1))
     return std["peaks"] / drawn.std(axis=0)
 

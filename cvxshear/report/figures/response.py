@@ -130,14 +130,23 @@ def response_peaks(result: RecordPrediction) -> Figure:
     """
     shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
+    floors = np.arange(1, n + 1)
+    measured = [driven.responses for driven in result.motion.runs if driven.responses is not None]
     figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
     every = style.panels(figure, len(shown), len(shown), sharey=True)
     for axes, name in zip(every, shown, strict=True):
         values, std, unit = result.peaks.values[name], result.peaks.std[name], RESPONSES[name].unit
         factor, label = (1e-3, "mm") if unit == "m" else scaled(values.tolist(), unit)
-        _profile(axes, values / factor, std / factor)
-        if name == "floor_acceleration":
-            _measured_peaks(axes, result)
+        known = bool(np.isfinite(std).all())
+        axes.errorbar(
+            values / factor, floors, xerr=NORMAL_95 * std / factor if known else None, color=style.AFTER, marker="s",
+            ls="-", lw=1.0, capsize=2.5, label="predicted, 95 %" if known else "predicted",
+        )  # fmt: skip
+        if name == "floor_acceleration" and measured:
+            top = np.max([np.max(np.abs(each), axis=0) for each in measured], axis=0)
+            axes.plot(
+                top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured"
+            )
         axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
@@ -146,22 +155,6 @@ def response_peaks(result: RecordPrediction) -> Figure:
     every[0].set_ylim(0.5, n + 0.5)
     style.legend(figure, every[0], left=True)
     return figure
-
-
-def _profile(axes: Axes, values: Floats, std: Floats) -> None:
-    floors = np.arange(1, len(values) + 1)
-    known = np.isfinite(std).all()
-    axes.errorbar(
-        values, floors, xerr=NORMAL_95 * std if known else None, color=style.AFTER, marker="s", ls="-", lw=1.0,
-        capsize=2.5, label="predicted, 95 %" if known else "predicted",
-    )  # fmt: skip
-
-
-def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
-    runs = [driven.responses for driven in result.motion.runs if driven.responses is not None]
-    if runs:
-        top = np.max([np.max(np.abs(each), axis=0) for each in runs], axis=0)
-        axes.plot(top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
 @style.figure(
