@@ -162,8 +162,7 @@ def test_the_order_in_which_effects_are_named_does_not_matter(number):
 
 
 def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
-    """A trial point far from the solution may give a singular matrix. The search rejects it like a frame that
-    buckles."""
+    """A trial point far off may give a singular matrix. The search rejects it like a frame that buckles."""
     plain = composed([placed("ground_spring", floor=4)], 0.0)
     with pytest.raises(NoModesError, match="singular with the flexibility"):
         plain.with_stiffness(np.eye(4), np.zeros((9, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 9))
@@ -219,8 +218,7 @@ def test_labels():
 
 
 def test_undeclared_heights_are_ones_and_change_the_unit():
-    """With equal stories, heights in meters and heights counted in stories give the same frame; the parameter scales
-    with h^3."""
+    """Equal heights in meters or counted in stories give the same frame; the parameter scales with h^3."""
     tall = Experiment.from_dict(
         {**experiment().to_dict(), "frame": {**experiment().frame.to_dict(), "story_heights": [0.4] * 4}}
     )
@@ -282,8 +280,7 @@ def test_an_effect_brings_its_own_size_and_probability():
 
 
 def test_the_probability_of_an_effect_is_that_of_being_anywhere():
-    """The probability that an effect is absent everywhere is the product over its places. Half of all tanks are on the
-    roof."""
+    """That an effect is absent everywhere has the product over its places. Half of all tanks are on the roof."""
     of = experiment(configurations=1)
     for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
         found = hypotheses(of, [one(name)])
@@ -392,8 +389,7 @@ def test_every_effect_is_said_in_words():
 
 
 def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
-    """Start values surround the measured frequencies. Zero mass removes the effect, apart from a motion that no sensor
-    measures."""
+    """Starts surround the measured frequencies. Zero mass removes the effect, but for a motion without a sensor."""
     tested = experiment()
     (effect,) = named(["attached_mass"])
     mass, frequency = effect.bound(tested).parameters
@@ -417,8 +413,7 @@ def test_the_words_of_an_effect_of_ones_own():
 
 
 def test_a_loose_joint_costs_what_it_says():
-    """A loose joint reduces the stiffness of a story between fixed neighbors by the stated part, in a frame of equal
-    stories."""
+    """A loose joint takes the stated part of the stiffness of a story between fixed neighbors, of equal stories."""
     tested = experiment(heights=False)
     k = np.full(4, 2e4)
     for floor, story in ((0, 1), (2, 2), (2, 3), (4, 4)):
@@ -432,8 +427,7 @@ def test_a_loose_joint_costs_what_it_says():
 
 
 def test_joints_of_a_frame_without_columns_cannot_soften():
-    """A fit may pass through a frame whose stiffness is all in the braces. The model must reject it without a division
-    by zero."""
+    """A fit may pass through a frame with all stiffness in braces: it is rejected without a division by zero."""
     of = Experiment.from_dict(
         {
             "frame": {"total_mass": 2.0},
@@ -501,6 +495,8 @@ def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():
     values = np.array([*THREE[0], *THREE[1], 0.1, 0.2, -0.3])
     state = compose(of, of.configurations[0], [LocatedEffect(gains.bound(of), Place())], values)
     np.testing.assert_allclose(state.gain, [1.1, 1.2, 0.7])
+    (sensor,) = one("sensor_gain").parameters
+    assert {(each.lower, each.upper) for each in gains.bound(of).parameters} == {(sensor.lower, sensor.upper)}
 
 
 @pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])

@@ -64,8 +64,7 @@ def quantities(effects, values, number):
 
 
 def assert_derivatives(effects, own, number, scales):
-    """Assert that each analytic derivative times its scale equals the difference quotient, relative to the matrix's
-    size."""
+    """Assert that each derivative times its scale equals the difference quotient, relative to the matrix's size."""
     at = theta(*own)
     steps = STEP * np.concatenate([MASS, STIFFNESS, scales])
     plain, derivatives = quantities(effects, at, number)

@@ -242,8 +242,7 @@ def measured(
     floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> dict[str, Any]:
-    """Return one configuration in the form of a test report: noise 0.1 % of frequencies, 1 % of each mode's largest
-    entry."""
+    """Return a test as in a report: noise 0.1 % of frequencies, 1 % of each mode's largest entry."""
     count = len(seen.frequencies)
     floors = list(range(1, count + 1)) if floors is None else list(floors)
     modes = count if modes is None else modes

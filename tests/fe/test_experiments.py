@@ -1,5 +1,4 @@
-"""Test simulated experiments: the package reads them, the truth explains them, and their noise is the declared
-noise."""
+"""Simulated experiments can be read, their truth explains them, and their noise is the declared one."""
 
 import numpy as np
 import pytest
