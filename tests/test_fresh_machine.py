@@ -120,19 +120,6 @@ class Broken(Effect):
         return state.plus_stiffness(values, matrix, own)
 
 
-def test_an_effect_whose_matrix_is_not_finite_is_named():
-    with pytest.raises(cvxshear.CvxshearError, match=r"(?s)broken.*finite"):
-        cvxshear.close_loop(three_stories(), effects=[Broken()])
-
-
-def test_an_effect_that_is_not_finite_where_it_was_not_tried_is_named():
-    """The check at registration uses the first and the last place only."""
-    of = cvxshear.Experiment.from_dict(three_stories())
-    placed = [LocatedEffect(Broken(), Place(floor=2))]
-    with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):
-        compose(of, of.tested[0], placed, np.array([*MASS, *STIFFNESS, 1.0]))
-
-
 class WrongShape(Broken):
     """A spring to the base whose matrix is too small at the second floor."""
 
@@ -143,10 +130,21 @@ class WrongShape(Broken):
         return state.plus_stiffness(values, np.eye(size)[None], own)
 
 
-def test_an_effect_of_a_wrong_shape_where_it_was_not_tried_is_named():
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [(Broken(), "(?s)broken.*finite"), (WrongShape(), r"small at floor 2: .*\(1, 2, 2\), not \(1, 3, 3\)")],
+)
+def test_an_effect_that_is_wrong_at_one_floor_is_named(effect, said):
+    """The check at registration uses the first and the last place only."""
+    with pytest.raises(cvxshear.FaultyEffectError, match=said):
+        cvxshear.close_loop(three_stories(), effects=[effect])
+
+
+def test_an_effect_that_is_not_finite_is_named_with_its_place():
     of = cvxshear.Experiment.from_dict(three_stories())
-    with pytest.raises(cvxshear.FaultyEffectError, match=r"small at floor 2: .*\(1, 2, 2\), not \(1, 3, 3\)"):
-        cvxshear.close_loop(of, effects=[WrongShape()])
+    placed = [LocatedEffect(Broken(), Place(floor=2))]
+    with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):
+        compose(of, of.tested[0], placed, np.array([*MASS, *STIFFNESS, 1.0]))
 
 
 def test_a_masked_sample_of_a_response_is_missing():

@@ -39,15 +39,15 @@ def test_help_loads_the_command_line_alone(arguments):
     assert modules.isdisjoint({*SLOW, "numpy", "scipy"})
 
 
-def test_the_names_of_the_backends_are_told_without_importing_any():
-    told = "assert 'cvxpy-scs' in backends.available(); backends.get('daqp')"
-    modules = loaded_by(f"from cvxshear import backends; {told}")
-    assert modules.isdisjoint(SLOW)
-
-
-def test_an_identification_that_the_closed_form_solves_imports_no_solver():
-    modules = loaded_by("import cvxshear\ncvxshear.identify(cvxshear.load('paper'), 'two-stage')")
-    assert modules.isdisjoint(SLOW)
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from cvxshear import backends; assert 'cvxpy-scs' in backends.available(); backends.get('daqp')",
+        "import cvxshear; cvxshear.identify(cvxshear.load('paper'), 'two-stage')",
+    ],
+)
+def test_names_of_backends_and_the_closed_form_import_no_solver(statement):
+    assert loaded_by(statement).isdisjoint(SLOW)
 
 
 def test_the_public_names_are_what_their_modules_define():

@@ -23,12 +23,12 @@ from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, printable
-from cvxshear.util.quantities import CHANNEL_UNITS, counted
+from cvxshear.util.quantities import CHANNEL_UNITS, STANDARD_GRAVITY, counted
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import escaped
 
-#: Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N).
-MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
+#: Floor mass (kg) and story stiffness (N/m) of the example frame; the weight of a floor pulls at its top.
+MASS, STIFFNESS = 10.0, 10e3
 
 #: Line of a new file whose modes are an example.
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
@@ -125,8 +125,8 @@ def _filled(modes: str, stories: int, total: str) -> str:
         masses=_listed(np.full(stories, MASS), ".1f"),
         added=_listed(np.zeros(stories), ".1f"),
         modes=modes,
-        force=_listed(np.eye(stories)[-1] * PULL, ".1f"),
-        displacement=_listed(np.arange(1, stories + 1) * PULL / STIFFNESS, ".3f"),
+        force=_listed(np.eye(stories)[-1] * MASS * STANDARD_GRAVITY, ".1f"),
+        displacement=_listed(np.arange(1, stories + 1) * MASS * STANDARD_GRAVITY / STIFFNESS, ".3f"),
     )
 
 

@@ -11,18 +11,13 @@ from cvxshear.records import diagnostics, estimate, picking, placement, pole_swe
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks
-from cvxshear.util.decorators import usual_arithmetic
+from cvxshear.util import checks, decorators
 from cvxshear.util.errors import InputError, NoSolutionError
 
 #: Kinds of findings that the whole band and the modes may both tell of a channel.
 CLOCKS = ("clock offset", "clock drift")
 #: Times the highest natural frequency: as far the functions of a record are kept.
 FUNCTION_RANGE = 1.5
-
-
-#: Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate.
-DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
 
 
 #: Fraction of the sampling rate. With a lower highest mode, the rate is reduced.
@@ -70,10 +65,9 @@ class ModeSearch:
 
     def settled(self, record: Record) -> SourceAndSweep:
         """Find the sampling rate that suits the modes, and source and sweep at it."""
-        best = self.tried(record)
-        if record.band is not None or self._suits(best, record):
-            return best
-        for factor in DECIMATION_FACTORS:
+        best, factor = self.tried(record), 1
+        while record.band is None and not self._suits(best, record):
+            factor *= 2
             band = (0.0, record.sampling_rate / (2.5 * factor))
             if band[1] < max(self.picked, default=0.0):
                 break
@@ -86,8 +80,6 @@ class ModeSearch:
                 break
             if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
                 best = trial
-            if self._suits(best, record):
-                break
         return best
 
     def _suits(self, found: SourceAndSweep, record: Record) -> bool:
@@ -153,7 +145,7 @@ def _too_low(found: SourceAndSweep) -> bool:
     return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def identify_modes(
     record: Record,
     *,

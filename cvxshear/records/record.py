@@ -211,7 +211,7 @@ class _Recorded(checks.ReadOnlyArrays):
 
     @property
     def window_decay(self) -> float:
-        """What the exponential window added to the decay rate of every mode, 1/s."""
+        """Decay rate that the exponential window added to every mode, 1/s."""
         return 0.0 if self.exponential_window is None else 1.0 / self.exponential_window
 
     @property

@@ -20,11 +20,13 @@ def _closure(result: LoopResult) -> blocks.Document:
     fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
     effort = f"Backend {result.backend}: {fits}, {programs}."
     modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
+    averaged = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
+    frame = identified.frame_table(result.averaged, averaged, units).folded(2 * blocks.PAGE_COLUMNS // 3)
     sections = (
         verdict_section(result),
         limits_section(result),
         states_section(result, units),
-        frame_section(result, units),
+        blocks.section("frame", "The identified frame", *frame, *identified.turning_words(result.frame)),
         identified.other_frames_section(result, units),
         effects_section(result),
         headline.numbering_section(result),
@@ -39,10 +41,10 @@ def _closure(result: LoopResult) -> blocks.Document:
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
-    frame = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
+    data = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
     line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"
-    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes), line)
+    return blocks.Document(title, text, sections, (data, effects_table(result), errors_table(result), modes), line)
 
 
 def verdict_section(result: LoopResult) -> blocks.Section:
@@ -68,7 +70,9 @@ def limits_section(result: LoopResult) -> blocks.Section:
             parts.append(blocks.Sentence(said, "warning"))
     if result.remains:
         parts += [blocks.Sentence("The residual sits in:", "warning"), blocks.Points("remains", result.remains)]
-    known = [f"Not determined: {identified.in_words(names)}" for names in result.estimate.uncertainty.null_directions]
+    # Of floors that turn, the table of the frame says it.
+    left = () if result.experiment.frame.turns else result.estimate.undetermined
+    known = [f"Not determined: {identified.in_words(names)}" for names in left]
     known += [quantities.capital(text) for text in identified.generous_noise(result.estimate.quality)]
     known += [quantities.capital(text) for text in result.information]
     if known:
@@ -180,13 +184,6 @@ def _alike(one: Floats, other: Floats) -> Bools:
     return np.isclose(one, other, rtol=quantities.NEGLIGIBLE_STD, atol=0.0)
 
 
-def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
-    """Tabulate the frame averaged over all sets."""
-    title = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
-    tables = identified.frame_table(result.averaged, title, units).folded(2 * blocks.PAGE_COLUMNS // 3)
-    return blocks.section("frame", "The identified frame", *tables, *identified.turning_words(result.frame))
-
-
 def effects_section(result: LoopResult) -> blocks.Section:
     """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
@@ -238,12 +235,14 @@ def effects_table(result: LoopResult) -> blocks.Table:
     rows = []
     for item in result.effects:
         place, effect = item.placed.place, item.placed.effect.name.replace("_", " ")
-        where = effect, place.floor, place.story, place.test or place.state
+        where = effect, place.floor, place.story, place.part, place.test or place.state
         for name, unit in _parameters(result, item):
             rows.append((*where, name.replace("_", " "), unit, item.parameters[name], item.std[name]))
-    names = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
+    names = ("effect", "floor", "story", "part", "configuration", "parameter", "unit", "value", "std")
     values = zip(*rows, strict=True) if rows else [()] * len(names)
-    return blocks.Table("effects", "Effects", tuple(map(blocks.exact, names, values)))
+    # Floors that do not turn have no parts.
+    known = (pair for pair in zip(names, values, strict=True) if pair[0] != "part" or result.experiment.frame.turns)
+    return blocks.Table("effects", "Effects", tuple(blocks.exact(*pair) for pair in known))
 
 
 def candidates_section(result: LoopResult) -> blocks.Section:
@@ -349,9 +348,8 @@ def _std(item: Deviation) -> str:
 
 def not_considered(result: LoopResult) -> blocks.Section:
     """List the effects that the data cannot tell, and what would tell them."""
-    cells = {"effect": result.not_considered, "needs": result.not_considered.values()}
-    texts = {head: [each.replace("_", " ") for each in names] for head, names in cells.items()}
-    tables = [blocks.table("not-looked-for", "", texts, words=(0, 1))] if result.not_considered else []
+    rows = [[text.replace("_", " ") for text in pair] for pair in result.not_considered.items()]
+    tables = [blocks.table_of_rows("not-looked-for", "", ("effect", "needs"), rows, words=(0, 1))] if rows else []
     return blocks.section("not-considered", "What was not looked for", *tables, below=True, appendix=True)
 
 

@@ -145,13 +145,10 @@ def _screening(result: Screening) -> blocks.Document:
     for said in result.record:
         parts += [blocks.Sentence(f"RECORD: {said.kind}", "warning"), blocks.Facts((("  found", said.message),))]
     findings = blocks.section("findings", "", *accepted, *parts)
-    return blocks.Document(result.name, f"{result.name}: {_screening_headline(result)}", (findings,))
-
-
-def _screening_headline(result: Screening) -> str:
     mistakes = sum(item.refuses for item in result.findings)
     numbers = {"mistake": mistakes, "doubt": len(result.findings) - mistakes, "remark": len(result.record)}
-    return listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
+    summary = listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
+    return blocks.Document(result.name, f"{result.name}: {summary}", (findings,))
 
 
 def _finding(item: FileFinding) -> Iterator[blocks.Block]:

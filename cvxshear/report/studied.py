@@ -1,7 +1,7 @@
 """Describe histories, planned tests, the recomputed figures of the paper, the noise study, and compared backends."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -11,7 +11,6 @@ from cvxshear.backends.benchmark import BackendResult
 from cvxshear.fit.results import UNITS_OF_FRAME
 from cvxshear.paper import reproduction as printed
 from cvxshear.paper.scatter import NoiseStudy, Scatter
-from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report import blocks
@@ -28,19 +27,14 @@ def _history(result: History) -> blocks.Document:
         blocks.section("changes", "Changes of stiffness", *_changes(result), *skipped),
         blocks.section("tests", "The tests", *history_data(result).folded(blocks.PAGE_COLUMNS)),
     )
-    title = result.loop.experiment.name
-    return blocks.Document(title, f"{title}, {_history_headline(result)}", sections, (history_data(result),))
-
-
-def _history_headline(result: History) -> str:
-    """State the changes with their probabilities."""
-    tests = quantities.counted(len(result.fitted), "test")
+    title, tests = result.loop.experiment.name, quantities.counted(len(result.fitted), "test")
     said = [
         f"{'perhaps ' if each.probability < quantities.SURE else ''}{each.text} "
         f"({quantities.chance(each.probability)} probable)"
         for each in result.changes
     ]
-    return f"{tests}: {'; '.join(said) or 'no change is more than scatter'}"
+    headline = f"{title}, {tests}: {'; '.join(said) or 'no change is more than scatter'}"
+    return blocks.Document(title, headline, sections, (history_data(result),))
 
 
 def _changes(result: History) -> Iterator[blocks.Block | str]:
@@ -88,24 +82,29 @@ def history_data(result: History) -> blocks.Table:
             columns.append(blocks.exact(f"{name}_{mode}", values, unit=unit))
     factor, unit = units_for(result.loop.experiment).of_stiffness(result.story_stiffness.ravel().tolist())
     for story, both in enumerate(zip(result.story_stiffness.T, result.story_stiffness_std.T, strict=True), 1):
-        values, stds = (tuple(each.tolist()) for each in both)
-        texts = tuple(quantities.with_std(*pair, factor=factor) for pair in zip(values, stds, strict=True))
-        columns.append(
-            blocks.Column(f"story {story}, {unit}", texts, name=f"story_stiffness_{story}", values=values, std=stds,
-                          unit="N/m")
-        )  # fmt: skip
+        pairs = zip(*(each.tolist() for each in both), strict=True)
+        written = [quantities.with_std(value, std, factor=factor) for value, std in pairs]
+        columns.append(blocks.exact(f"story_stiffness_{story}", *both, "N/m", f"story {story}, {unit}", written))
     return blocks.Table("history", "Measured modes, and the stiffnesses of each test alone", tuple(columns))
 
 
 @blocks.describe.register
 def _plan(result: Plan) -> blocks.Document:
     design, noise = result.model.design, f"Expected noise: {result.model.noise.words}."
+    modes = blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
+        "mode": [str(each["mode"]) for each in result.expected_modes],
+        "frequency, Hz": quantities.significants([each["frequency"] for each in result.expected_modes]),
+    })  # fmt: skip
+    floors = ", ".join(map(str, result.sensors))
+    everywhere = len(result.sensors) == design.stories
+    where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
+    headline = f"Measure {where} in {quantities.counted(len(result.tests), 'test')}, for {result.goal}."
     sections = [
         blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
-        blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
+        blocks.section("tests", "The tests", modes, added_masses(result), *grid(result)),
         blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
-    return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
+    return blocks.Document(design.name, headline, tuple(sections), (floors_data(result),))
 
 
 def floors_data(result: Plan) -> blocks.Table:
@@ -119,14 +118,6 @@ def floors_data(result: Plan) -> blocks.Table:
         *(blocks.exact(f"added_mass_kg: {name}", mass) for name, mass in zip(result.names, result.tests, strict=True)),
     ]
     return blocks.Table("floors", "Plan", tuple(columns))
-
-
-def plan_headline(result: Plan) -> str:
-    """Write the choice in a sentence."""
-    floors = ", ".join(map(str, result.sensors))
-    everywhere = len(result.sensors) == result.model.design.stories
-    where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
-    return f"Measure {where} in {quantities.counted(len(result.tests), 'test')}, for {result.goal}."
 
 
 def typical(result: Plan) -> str:
@@ -153,15 +144,15 @@ def remedies(result: Plan) -> blocks.Table:
 
 def other_frames(result: Plan) -> list[blocks.Block]:
     """Say that several frames will fit the planned tests, and which further test tells them apart."""
-    others = result.other_frames
+    others, relative = result.other_frames, result.model.design.frame.total_mass_placeholder
     if not others.frames or result.objective >= UNKNOWN_STD:
         return []
-    design = result.model.design
-    said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design"
-    if others.next_test is None:
-        return [blocks.Sentence(f"{said}. Shapes at two floors or more tell them apart.", "warning")]
-    test = put_more(others.next_test, quantities.Units(relative=design.frame.total_mass_placeholder))
-    return [blocks.Sentence(f"{said}. {test} to tell them apart, or measure shapes at two floors or more.", "warning")]
+    remedy = "Shapes at two floors or more tell them apart."
+    if others.next_test is not None:
+        test = put_more(others.next_test, quantities.Units(relative=relative))
+        remedy = f"{test} to tell them apart, or measure shapes at two floors or more."
+    said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design. {remedy}"
+    return [blocks.Sentence(said, "warning")]
 
 
 def sure(result: Plan) -> str:
@@ -193,14 +184,6 @@ def grid(result: Plan) -> list[str]:
         "With these sensors, no tests with the largest added mass or half of it, on one floor, all floors or either "
         f"half of them, get below {_value(result.of_grid.bound)}."
     ]
-
-
-def expected_modes(result: Plan) -> blocks.Table:
-    """Tabulate the modes of the first test."""
-    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
-        "mode": [str(each["mode"]) for each in result.expected_modes],
-        "frequency, Hz": quantities.significants([each["frequency"] for each in result.expected_modes]),
-    })  # fmt: skip
 
 
 def added_masses(result: Plan) -> blocks.Table:
@@ -300,7 +283,10 @@ def _study(result: NoiseStudy) -> blocks.Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
     levels_section = blocks.section("levels", "Scatter", *tables, note(result))
-    return blocks.Document("noise study", _study_headline(result), (levels_section,), (scatter_data(result),))
+    setups = quantities.counted(len({id(each.setup) for each in result.scatters}), "setup")
+    methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
+    headline = f"{setups}, {quantities.counted(result.samples, 'sample')} each, by {methods}"
+    return blocks.Document("noise study", headline, (levels_section,), (scatter_data(result),))
 
 
 def scatter_data(result: NoiseStudy) -> blocks.Table:
@@ -319,12 +305,6 @@ def scatter_data(result: NoiseStudy) -> blocks.Table:
     return blocks.Table("scatter", "Scatter", tuple(columns))
 
 
-def _study_headline(result: NoiseStudy) -> str:
-    setups = quantities.counted(len({id(each.setup) for each in result.scatters}), "setup")
-    methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
-    return f"{setups}, {quantities.counted(result.samples, 'sample')} each, by {methods}"
-
-
 def noise_level(scatters: list[Scatter], place: int) -> blocks.Table:
     """Tabulate every method at one noise level, the Cramer-Rao bound first."""
     setup = scatters[0].setup
@@ -332,13 +312,10 @@ def noise_level(scatters: list[Scatter], place: int) -> blocks.Table:
     head = ("method", "figure", *(f"m{i}" for i in numbers), *(f"k{i}" for i in numbers))
     bound = ("least possible", "Cramér-Rao bound, %", *in_percent(scatters[0].relative_bound))
     rows = [bound, *(row for scatter in scatters for row in _lines(scatter))]
-    return blocks.table_of_rows(f"level-{place}", _title(setup), head, rows, words=(0, 1))
-
-
-def _title(setup: Setup) -> str:
     exact = "exact" if setup.exact_frequencies else f"with {100 * setup.frequency_std:g} %"
     noise = f"{setup.mode_shape_noise} shape noise {100 * setup.mode_shape_std:g} %"
-    return f"{setup.name}; {noise}, frequencies {exact}"
+    title = f"{setup.name}; {noise}, frequencies {exact}"
+    return blocks.table_of_rows(f"level-{place}", title, head, rows, words=(0, 1))
 
 
 def _lines(scatter: Scatter) -> Iterator[Cells]:
@@ -372,27 +349,43 @@ def note(result: NoiseStudy) -> str:
 def _comparison(result: Comparison) -> blocks.Document:
     without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
     tables = (part for kind in result.kinds for part in _kind(result, kind))
-    programs_section = blocks.section("programs", "Programs", *without, *tables)
-    headline = f"{result.experiment}: {_backends_headline(result)}"
-    every = blocks.section("worst", "All programs", worst(result))
-    return blocks.Document(result.experiment, headline, (programs_section, every))
+    backends = quantities.counted(len({row.backend for row in result.rows}), "backend")
+    headline = f"{result.experiment}: {backends} on {quantities.counted(len(result.kinds), 'kind')} of programs"
+    sections = (
+        blocks.section("programs", "Programs", *without, *tables),
+        blocks.section("worst", "All programs", worst(result)),
+    )
+    return blocks.Document(result.experiment, headline, sections)
 
 
-def _backends_headline(result: Comparison) -> str:
-    backends = len({row.backend for row in result.rows})
-    return f"{quantities.counted(backends, 'backend')} on {quantities.counted(len(result.kinds), 'kind')} of programs"
+#: Headings of the figures that a backend's answer has for each program.
+FIGURES_OF_BACKENDS = {
+    "difference": "difference", "primal": "primal_residual", "dual": "dual_residual", "gap": "duality_gap",
+    "error": "error_bound",
+}  # fmt: skip
 
 
 def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
+    """Tabulate the answers of every backend to one kind of programs; the format of the times resolves the fastest."""
     rows = [row for row in result.rows if row.kind == kind.kind]
-    name = kind.kind.replace(" ", "-")
-    title = f"{programs(kind)}, against the {rows[0].reference}"
-    figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
-    head = ("backend", *figures, "time, ms", "time / kkt")
-    yield blocks.table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
-    failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
-    if failures:
+    solved = [row for row in rows if not row.failure]
+    known = [1e3 * row.seconds for row in solved if row.seconds is not None]
+    decimals = max(0, 1 - math.floor(math.log10(min(known)))) if known else 0
+    name, title = kind.kind.replace(" ", "-"), f"{programs(kind)}, against the {rows[0].reference}"
+    yield blocks.table(f"kind-{name}", title, {
+        "backend": [row.backend for row in solved],
+        **{head: [_power(getattr(row, key)) for row in solved] for head, key in FIGURES_OF_BACKENDS.items()},
+        "iterations": ["–" if row.iterations is None else str(row.iterations) for row in solved],
+        "tolerance": [_power(row.tolerance, 1) for row in solved],
+        "time, ms": ["–" if row.seconds is None else f"{1e3 * row.seconds:.{decimals}f}" for row in solved],
+        "time / kkt": ["–" if row.relative_time is None else f"{row.relative_time:.1f}" for row in solved],
+    })  # fmt: skip
+    if failures := tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure):
         yield blocks.Points(f"failures-{name}", failures)
+
+
+def _power(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else quantities.exponential(value, digits)
 
 
 def programs(kind: ProgramKind) -> str:
@@ -402,49 +395,33 @@ def programs(kind: ProgramKind) -> str:
     return f"{kind.kind}: {', '.join(quantities.counted(number, noun) for noun, number in nouns.items())}"
 
 
-def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
-    """Yield one row for each backend; the format of the times resolves the fastest."""
-    known = [1e3 * row.seconds for row in rows if row.seconds is not None]
-    decimals = max(0, 1 - math.floor(math.log10(min(known)))) if known else 0
-    for row in rows:
-        time = "–" if row.seconds is None else f"{1e3 * row.seconds:.{decimals}f}"
-        ratio = "–" if row.relative_time is None else f"{row.relative_time:.1f}"
-        yield *_backend_cells(row), time, ratio
-
-
-def _backend_cells(row: BackendResult) -> Iterator[str]:
-    yield row.backend
-    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
-        yield "–" if value is None else quantities.exponential(value)
-    yield "–" if row.iterations is None else str(row.iterations)
-    yield "–" if row.tolerance is None else quantities.exponential(row.tolerance, 1)
-
-
 def worst(result: Comparison) -> blocks.Table:
     """Tabulate the worst figures of each backend over all programs that the backend accepts."""
-    names = dict.fromkeys(row.backend for row in result.rows)
-    head = (
-        "backend", "programs solved", "as given", "polished", "replaced", "largest difference",
-        "largest certificate residual", "remark",
-    )  # fmt: skip
-    rows = (_worst(name, [row for row in result.rows if row.backend == name]) for name in names)
-    return blocks.table_of_rows(
-        "backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7)
-    )
+    rows_of: dict[str, list[BackendResult]] = {}
+    for row in result.rows:
+        rows_of.setdefault(row.backend, []).append(row)
+    every = list(rows_of.values())
+    *_, bound = FIGURES_OF_BACKENDS
+    residuals = [key for head, key in FIGURES_OF_BACKENDS.items() if head not in ("difference", bound)]
+    return blocks.table("backends-table", "Worst figures of each backend over all programs", {
+        "backend": rows_of,
+        "programs solved": [
+            f"{sum(row.programs for row in rows if not row.failure)} of {sum(row.programs for row in rows)}"
+            for rows in every
+        ],
+        **{
+            how.replace("_", " "): [str(sum(getattr(row, how) for row in rows)) for rows in every]
+            for how in ("as_given", "polished", "replaced")
+        },
+        "largest difference": [_largest(rows, ["difference"]) for rows in every],
+        "largest certificate residual": [_largest(rows, residuals) for rows in every],
+        "remark": ["; ".join(sorted({short(row.failure) for row in rows if row.failure})) for rows in every],
+    }, words=(0, 7))  # fmt: skip
 
 
-def _worst(name: str, rows: list[BackendResult]) -> Cells:
-    solved = [row for row in rows if not row.failure]
-    residuals = [each for row in solved for each in (row.primal_residual, row.dual_residual, row.duality_gap)]
-    count = f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}"
-    accepted = [str(sum(getattr(row, how) for row in rows)) for how in ("as_given", "polished", "replaced")]
-    remark = "; ".join(sorted({short(row.failure) for row in rows if row.failure}))
-    return name, count, *accepted, _largest([row.difference for row in solved]), _largest(residuals), remark
-
-
-def _largest(values: list[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return quantities.exponential(max(known)) if known else "–"
+def _largest(rows: list[BackendResult], keys: Sequence[str]) -> str:
+    values = [getattr(row, key) for row in rows if not row.failure for key in keys]
+    return _power(max((value for value in values if value is not None), default=None))
 
 
 def short(failure: str) -> str:

@@ -208,20 +208,17 @@ FIRST_SECTION = "verdict"
 
 def notebook_html(result: object) -> str:
     """Write a result as a piece of HTML: the figure of its verdict, if any, and its tables."""
-    from cvxshear.report.html import environment  # noqa: PLC0415 - jinja2 is loaded where a page is made
+    # jinja2 and matplotlib are loaded where a page is made.
+    from cvxshear.report.figures.style import applicable, encoded  # noqa: PLC0415
+    from cvxshear.report.html import environment  # noqa: PLC0415
 
-    return environment().get_template("notebook.html").render(document=describe(result), pictures=_pictures(result))
-
-
-def _pictures(result: object) -> list[tuple[str, str]]:
-    """Draw a result's figures as PNG with their alternative texts: ids of several SVGs in a notebook would clash."""
-    from cvxshear.report.figures.style import applicable, encoded  # noqa: PLC0415 - loads matplotlib
-
-    return [
+    # PNG: ids of several SVGs in a notebook would clash.
+    pictures = [
         (entry.alternative, base64.b64encode(encoded(entry.draw(result), "png")).decode())
         for entry in applicable(result)
         if entry.section == FIRST_SECTION
     ]
+    return environment().get_template("notebook.html").render(document=describe(result), pictures=pictures)
 
 
 def drawn(result: Any, name: str) -> Any:

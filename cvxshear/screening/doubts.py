@@ -41,9 +41,6 @@ HIGHEST_TIMES_FREQUENCY = 130.0
 #: measured.
 UNIT_WITHIN = 0.15
 
-#: Least relative standard deviation of a measurement: the accuracy of the best counters and interferometers.
-BEST_LABORATORY_STD = 1e-6
-
 #: Largest relative standard deviations of measurements; larger ones may be in percent.
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 
@@ -163,21 +160,14 @@ def angular_frequency(experiment: Experiment) -> Iterator[FileFinding]:
 
 
 def deviations(experiment: Experiment) -> Iterator[FileFinding]:
-    """Doubt standard deviations of measurements that no instrument has."""
+    """Doubt standard deviations with which a measurement says nothing: they may be in percent."""
     for each in experiment.configurations:
         for key, largest in LARGEST_STD.items():
-            value = getattr(each, key)
-            if value is None:
-                continue
-            std = np.asarray(value, dtype=float)
+            std = np.ravel(np.asarray(getattr(each, key), dtype=float))
             std = std[np.isfinite(std) & (std > 0)]
-            if not std.size:
-                continue
-            if std.min() < BEST_LABORATORY_STD:
-                yield doubt("deviations/fine", each.name, key=key, std=std.min())
-            elif (middle := np.median(std)) > largest:
+            if std.size and (middle := np.median(std)) > largest:
                 of = "frequencies" if key == "frequency_std" else "shapes"
-                yield doubt("deviations/coarse", each.name, of=of, key=key, std=middle, percent=100 * middle)
+                yield doubt("deviations", each.name, of=of, key=key, std=middle, percent=100 * middle)
 
 
 def repeats(experiment: Experiment) -> Iterator[FileFinding]:

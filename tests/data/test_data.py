@@ -61,8 +61,7 @@ def residual(datum, at, *, derivatives=True, of=None):
 
 
 def quotients(value):
-    """Return central differences of a function of all parameters, one row per parameter, each times its step's
-    scale."""
+    """Return central differences of a function of all parameters, a row for each, times its step's scale."""
     rows = []
     for p, step in enumerate(STEPS):
         ahead, behind = AT.copy(), AT.copy()
@@ -122,8 +121,7 @@ def test_counts_and_labels():
 
 @pytest.mark.parametrize("mass_normalized", [False, True])
 def test_what_is_described_part_by_part_and_by_floor_is_the_whole_residual(mass_normalized):
-    """The sums of squares over the parts, and over the floors for data at floors, equal the sum for the whole
-    residual."""
+    """Sums of squares over the parts, and over the floors for data at floors, equal the whole residual's."""
     of = measured_twice(mass_normalized=mass_normalized)
     for datum in data_of(of):
         model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
@@ -165,8 +163,7 @@ def test_displacements_are_those_of_equilibrium():
 
 
 def pulled(rng=None, noise=0.0):
-    """Return one configuration without declared mass, and a pull at the top. Only the pull relates newtons to
-    kilograms."""
+    """Return a test without declared mass and a pull at the top, which alone relates newtons to kilograms."""
     keys = {"rng": rng, "shape_noise": 0.01, "frequency_noise": 0.001} if noise else {}
     declared = experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS, **keys), frame={})
     u = np.linalg.solve(chain(MASS, STIFFNESS)[1], FORCE)
@@ -288,10 +285,6 @@ def test_a_kind_whose_noise_cannot_take_part_is_refused(noise, said):
 
 def model_of(of):
     return Misfit(of).evaluate(theta()).models[0]
-
-
-def test_a_registered_kind_does_not_outlive_its_test():
-    assert set(registry_module.REGISTERED) == {"Frequencies", "Shapes", "Static"}
 
 
 def test_modes_that_changed_places_are_paired_by_their_shapes():

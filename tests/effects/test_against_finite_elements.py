@@ -23,12 +23,6 @@ TOP = float(common.HEIGHTS.sum())
 SWAY = float(np.sum(1 / STIFFNESS))
 """Static displacement of the top under 1 N at the top, in m."""
 
-CHANGES = fe.CHANGES | {
-    "spring": fe.with_tie,
-    "floor_mass": fe.with_mass,
-    "state_mass": lambda frame, e, _: replace(frame, floor_mass=frame.floor_mass + e * MASS),
-    "load_scale": lambda frame, e, _: replace(frame, floor_mass=frame.floor_mass + e * (frame.floor_mass - MASS)),
-}
 LOADED = {"state": "loaded"}
 
 
@@ -120,16 +114,12 @@ def of_case(value):
 @pytest.mark.parametrize(("effects", "sizes"), EXACT, ids=of_case)
 def test_a_frame_with_these_effects_has_the_modes_of_the_formulas(effects, sizes, number):
     """An effect of the loaded state leaves the other one as it is."""
-    frame, gain = building(number), np.ones(4)
-    for each, size in zip(effects, sizes, strict=True):
-        place = each.place
-        at = place.story if place.floor is None else (place.floor, place.to) if place.to else place.floor
-        if each.effect.name == "sensor_gain":
-            gain[at - 1] += size * (place.state in (None, NAMES[number]))
-        elif place.state in (None, NAMES[number]):
-            frame = CHANGES[each.effect.name](frame, np.atleast_1d(size)[0], at)
-    found = sway_modes(frame)
-    expected = SwayModes(found.frequencies, gain[:, None] * found.shapes)
+    there = [
+        (each.effect.name, np.atleast_1d(size)[0], vars(each.place))
+        for each, size in zip(effects, sizes, strict=True)
+        if each.place.state in (None, NAMES[number])
+    ]
+    expected = fe.seen_by_sensors(building(), common.ADDED[number], there)
     assert_same(modes_with(effects, *sizes, number=number), expected)
 
 
@@ -265,8 +255,7 @@ def test_a_clamp_that_grips_less(longer, floor):
 
 
 def test_a_hinge_at_both_ends_of_a_story():
-    """Each hinge at the columns' ends takes three quarters of the remaining stiffness of a story; hinges at all ends
-    leave zero."""
+    """A hinge at the columns' ends takes three quarters of a story's remaining stiffness; a second one the rest."""
     base = placed("joint_release", floor=0, state="loaded")
     k = composed([base], 1e9, 0.0, number=1).system.K.sum()
     assert k == pytest.approx(STIFFNESS[0] / 4, rel=1e-6)
@@ -297,8 +286,7 @@ def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("beta", [0.05, 0.4, 0.9])
 def test_bracing(beta, number):
-    """The formula is exact for crossing diagonals and columns whose joints turn. Without joint rotation, braces and
-    columns have the same effect."""
+    """Exact for crossing diagonals and columns whose joints turn. Without joint rotation, braces act like columns."""
     frame = fe.with_braces(fe.with_turning_joints(building(number), 0.5), beta)
     # The beams are the same as in the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
     # stiffer.
@@ -334,8 +322,7 @@ def every_mode(frame):
 @pytest.mark.parametrize("floor", [1, 3, 4])
 @pytest.mark.parametrize(("mass", "tuning"), [(0.05, 0.6), (0.4, 0.98), (2.0, 1.0), (3.0, 2.3)])
 def test_attached_mass(mass, tuning, floor, number):
-    """Compare all five modes of four floors and a mass on a spring: below the first mode, tuned to it, or between two
-    modes."""
+    """All five modes of four floors and a mass on a spring: below the first mode, tuned to it, or between two modes."""
     frequency = tuning * sway_modes(building(0)).frequencies[0]
     there = placed("attached_mass", floor=floor)
     # The model adds this mass to the parameter, so that modes exist if the parameter is zero.
@@ -367,8 +354,7 @@ def test_loads_on_stiff_mountings_are_fast():
 
 
 def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground():
-    """A neighbor (mass m, ground spring k, tie t) equals a ground spring t k / (t + k) and a mass m (t / (t + k))^2 on
-    a spring t^2 / (t + k)."""
+    """Mass m, ground spring k, tie t: a ground spring t k / (t + k) and m (t / (t + k))^2 on a spring t^2 / (t + k)."""
     floor, mass, ground, tie = 3, 1.3, 900.0, 400.0
     M, K = np.diag([*MASS, mass]), np.zeros((5, 5))
     K[:4, :4] = composed([]).system.K

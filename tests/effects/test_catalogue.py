@@ -25,7 +25,8 @@ EITHER_SIGN = [
     "shape_scale", "force_scale",
 ]  # fmt: skip
 SEVERAL_STATES = ["added_mass", "story_change", "state_stiffness", "state_mass", "joint_release"]
-RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release", "soft_feet", "wall"]
+FRAME_WIDE = ["joint_rotation", "axial_columns", "base_rocking", "soft_feet"]
+RATIOS_OF_HEIGHTS = [*FRAME_WIDE, "joint_release", "wall"]
 FOUR = [1, 2, 3, 4]
 
 
@@ -75,12 +76,7 @@ def test_any_other_value_does_not(name):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("gravity", [Place()]),
-        ("joint_rotation", [Place()]),
-        ("soft_feet", [Place()]),
-        ("axial_columns", [Place()]),
-        ("base_rocking", [Place()]),
-        ("mass_coupling", [Place()]),
+        *((name, [Place()]) for name in (*FRAME_WIDE, "bracing", "gravity", "load_scale", "mass_coupling")),
         ("ground_spring", [Place(floor=floor) for floor in FOUR[1:]]),
         ("sensor_gain", [Place(floor=floor, state=name) for floor in FOUR for name in (None, *NAMES)]),
         ("added_mass", [Place(floor=floor, state=name) for floor in FOUR for name in NAMES]),
@@ -88,10 +84,8 @@ def test_any_other_value_does_not(name):
         ("spring", [Place(floor=1, to=3), Place(floor=1, to=4), Place(floor=2, to=4)]),
         ("state_stiffness", [Place(state=name) for name in NAMES]),
         ("state_mass", [Place(state=name) for name in NAMES]),
-        ("load_scale", [Place()]),
         ("floor_mass", [Place(floor=floor) for floor in FOUR]),
         ("joint_release", [Place(floor=floor, state=name) for floor in range(5) for name in NAMES]),
-        ("bracing", [Place()]),
     ],
 )
 def test_places(name, expected):
@@ -113,14 +107,28 @@ def test_a_gain_in_one_state_where_other_states_tell():
     assert places == [Place(floor=floor) for floor in FOUR]
 
 
+LACKING = {
+    "gravity": "story_heights",
+    **dict.fromkeys([*SEVERAL_STATES, "other_changes", "other_loads"], "several states"),
+    "total_mass": "what else tells the scale of the masses, such as a second test with other added mass",
+    **dict.fromkeys(["load_scale", "load_mounting"], "added_mass"),
+    "floor_mass": "floor_masses",
+    "shape_scale": "mass-normalized shapes",
+    "force_scale": "a static test",
+    "wrong_prior": "a prior with a standard deviation",
+    "wrong_exact_prior": "a prior that is an exact equation",
+    "other_shapes": "shapes of a declared accuracy, or of several states",
+    "other_frequencies": "frequencies that are said to be better than 0.2 %",
+}
+"""What effects and classes lack in one test with frequencies, shapes and a total mass; the others lack nothing."""
+
+
 def test_what_is_looked_for_only_where_it_could_be_told():
-    alone = experiment(configurations=1)
-    assert one("load_scale").lacks(alone) == "added_mass"
-    assert one("force_scale").lacks(alone) == "a static test"
-    two = experiment()
-    unknown = dataclasses.replace(two, frame=Frame(stories=4))
+    alone = experiment(configurations=1, heights=False)
+    found = {effect.name: effect.lacks(alone) for effect in (*catalogue(), *open_classes())}
+    assert found == dict.fromkeys(found, "") | LACKING
+    unknown = dataclasses.replace(experiment(), frame=Frame(stories=4))
     assert one("load_scale").lacks(unknown) == "total_mass or floor_masses"
-    assert one("floor_mass").lacks(two) == "floor_masses"
     low = Experiment.from_dict(
         {"frame": {"stories": 2, "total_mass": 4.0}, "configuration": [{"name": "one", "frequencies": [1.0]}]}
     )
@@ -132,8 +140,6 @@ def test_what_is_looked_for_only_where_it_could_be_told():
 def test_what_an_effect_needs(name):
     """Gravity needs heights in meters. Effects that need only height ratios assume equal heights and state this."""
     assert one(name).lacks(experiment()) == ""
-    alone = "several states" if name in SEVERAL_STATES else "added_mass" if name == "load_scale" else ""
-    assert one(name).lacks(experiment(configurations=1)) == alone
     assert one(name).lacks(experiment(heights=False)) == ("story_heights" if name == "gravity" else "")
     assert one(name).uses_heights == (name in RATIOS_OF_HEIGHTS)
 
@@ -156,8 +162,7 @@ def test_the_order_in_which_effects_are_named_does_not_matter(number):
 
 
 def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
-    """A trial point far from the solution may give a singular matrix. The search rejects it like a frame that
-    buckles."""
+    """A trial point far off may give a singular matrix. The search rejects it like a frame that buckles."""
     plain = composed([placed("ground_spring", floor=4)], 0.0)
     with pytest.raises(NoModesError, match="singular with the flexibility"):
         plain.with_stiffness(np.eye(4), np.zeros((9, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 9))
@@ -213,8 +218,7 @@ def test_labels():
 
 
 def test_undeclared_heights_are_ones_and_change_the_unit():
-    """With equal stories, heights in meters and heights counted in stories give the same frame; the parameter scales
-    with h^3."""
+    """Equal heights in meters or counted in stories give the same frame; the parameter scales with h^3."""
     tall = Experiment.from_dict(
         {**experiment().to_dict(), "frame": {**experiment().frame.to_dict(), "story_heights": [0.4] * 4}}
     )
@@ -276,8 +280,7 @@ def test_an_effect_brings_its_own_size_and_probability():
 
 
 def test_the_probability_of_an_effect_is_that_of_being_anywhere():
-    """The probability that an effect is absent everywhere is the product over its places. Half of all tanks are on the
-    roof."""
+    """That an effect is absent everywhere has the product over its places. Half of all tanks are on the roof."""
     of = experiment(configurations=1)
     for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
         found = hypotheses(of, [one(name)])
@@ -386,8 +389,7 @@ def test_every_effect_is_said_in_words():
 
 
 def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
-    """Start values surround the measured frequencies. Zero mass removes the effect, apart from a motion that no sensor
-    measures."""
+    """Starts surround the measured frequencies. Zero mass removes the effect, but for a motion without a sensor."""
     tested = experiment()
     (effect,) = named(["attached_mass"])
     mass, frequency = effect.bound(tested).parameters
@@ -411,8 +413,7 @@ def test_the_words_of_an_effect_of_ones_own():
 
 
 def test_a_loose_joint_costs_what_it_says():
-    """A loose joint reduces the stiffness of a story between fixed neighbors by the stated part, in a frame of equal
-    stories."""
+    """A loose joint takes the stated part of the stiffness of a story between fixed neighbors, of equal stories."""
     tested = experiment(heights=False)
     k = np.full(4, 2e4)
     for floor, story in ((0, 1), (2, 2), (2, 3), (4, 4)):
@@ -426,8 +427,7 @@ def test_a_loose_joint_costs_what_it_says():
 
 
 def test_joints_of_a_frame_without_columns_cannot_soften():
-    """A fit may pass through a frame whose stiffness is all in the braces. The model must reject it without a division
-    by zero."""
+    """A fit may pass through a frame with all stiffness in braces: it is rejected without a division by zero."""
     of = Experiment.from_dict(
         {
             "frame": {"total_mass": 2.0},
@@ -458,11 +458,16 @@ CAUSES_OF_ENTRIES = {
 }  # fmt: skip
 
 
+THREE = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
+
+
+def three_stories(*tests, **frame):
+    return Experiment.from_dict(declared(*THREE, *tests, frame={"total_mass": 24.0, **frame}))
+
+
 def test_an_entry_of_an_open_class_equals_a_cause_of_the_catalogue():
-    mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
-    tests = [configuration(mass, stiffness, name=name) for name in "ab"]
-    of = Experiment.from_dict(declared(mass, stiffness, *tests, frame={"story_heights": 3.0, "total_mass": 24.0}))
-    frame = np.concatenate([mass, stiffness])
+    of = three_stories(*(configuration(*THREE, name=name) for name in "ab"), story_heights=3.0)
+    frame = np.concatenate(THREE)
     known = {effect.name: effect for effect in catalogue()}
     for effect in (each.bound(of) for each in open_classes() if each.suits(of)):
         place = effect.places(of)[-1]
@@ -483,26 +488,15 @@ def test_an_entry_of_an_open_class_equals_a_cause_of_the_catalogue():
 
 
 def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():
-    mass, stiffness, (gains,) = (
-        [10.0, 8.0, 6.0],
-        [2e4, 1.5e4, 1e4],
-        (e for e in open_classes() if e.name == "other_gains"),
-    )
+    (gains,) = (effect for effect in open_classes() if effect.name == "other_gains")
     for floors, lacking in (([1, 3], ""), ([3], "shapes at two floors or more")):
-        table = configuration(mass, stiffness, name="a")
-        table["mode_shapes"] = np.array(table["mode_shapes"])[:, np.array(floors) - 1].tolist()
-        of = Experiment.from_dict(declared(mass, stiffness, table | {"measured_floors": floors}))
-        assert gains.lacks(of) == lacking
-    of = Experiment.from_dict(
-        declared(mass, stiffness, configuration(mass, stiffness, name="a") | {"measured_floors": [1, 2, 3]})
-    )
-    state = compose(
-        of,
-        of.configurations[0],
-        [LocatedEffect(gains.bound(of), Place())],
-        np.array([*mass, *stiffness, 0.1, 0.2, -0.3]),
-    )
+        assert gains.lacks(three_stories(configuration(*THREE, measured_floors=floors))) == lacking
+    of = three_stories(configuration(*THREE))
+    values = np.array([*THREE[0], *THREE[1], 0.1, 0.2, -0.3])
+    state = compose(of, of.configurations[0], [LocatedEffect(gains.bound(of), Place())], values)
     np.testing.assert_allclose(state.gain, [1.1, 1.2, 0.7])
+    (sensor,) = one("sensor_gain").parameters
+    assert {(each.lower, each.upper) for each in gains.bound(of).parameters} == {(sensor.lower, sensor.upper)}
 
 
 @pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])

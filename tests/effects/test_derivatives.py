@@ -28,10 +28,8 @@ CASES = {
     "bracing": (placed("bracing"), 0.2),
     "wall": (placed("wall"), 0.15),
 }
-SCALES = dict.fromkeys(CASES, 1.0) | {
-    "axial_columns": SWAY / TOP**3, "base_rocking": SWAY / TOP**2, "ground_spring": 2500.0, "spring": 2500.0,
-}  # fmt: skip
-"""Scale of each parameter: a small change. The step is a fraction of it."""
+SCALES = {"axial_columns": SWAY / TOP**3, "base_rocking": SWAY / TOP**2, "ground_spring": 2500.0, "spring": 2500.0}
+"""Scale of a parameter, a small change, where it is not one. The step is a fraction of it."""
 STEP = 1e-4
 """Step of the central differences, relative to the scale. Their error is about 1e-8 of the matrices' curvature plus
 1e-12 from rounding."""
@@ -51,7 +49,8 @@ SECOND_PLACES = [
 def flat(cases):
     """Return the parameter values of several effects, and their scales."""
     values = [np.atleast_1d(value) for _, value in cases]
-    scales = [np.full(len(each), SCALES[there.effect.name]) for (there, _), each in zip(cases, values, strict=True)]
+    names = [there.effect.name for there, _ in cases]
+    scales = [np.full(len(each), SCALES.get(name, 1.0)) for name, each in zip(names, values, strict=True)]
     return np.concatenate(values), np.concatenate(scales)
 
 
@@ -65,8 +64,7 @@ def quantities(effects, values, number):
 
 
 def assert_derivatives(effects, own, number, scales):
-    """Assert that each analytic derivative times its scale equals the difference quotient, relative to the matrix's
-    size."""
+    """Assert that each derivative times its scale equals the difference quotient, relative to the matrix's size."""
     at = theta(*own)
     steps = STEP * np.concatenate([MASS, STIFFNESS, scales])
     plain, derivatives = quantities(effects, at, number)
@@ -83,72 +81,33 @@ def assert_derivatives(effects, own, number, scales):
             np.testing.assert_allclose(derivative[p] * step / STEP, quotient, rtol=0, atol=atol, err_msg=f"by {p}")
 
 
-@pytest.mark.parametrize("number", range(len(NAMES)))
-@pytest.mark.parametrize("name", CASES)
-def test_one_effect(name, number):
-    own, scales = flat([CASES[name]])
-    assert_derivatives([CASES[name][0]], own, number, scales)
+ALL = list(CASES.values())
+(OTHER_BEAMS,) = (LocatedEffect(each.bound(experiment())) for each in open_classes() if each.name == "other_beams")
+BEAMS = (OTHER_BEAMS, (0.3, -0.2, 0.6, -0.7))
+ATTACHED = [(placed("attached_mass", floor=3), size) for size in ((0.0, 2.0), (0.7, 3.1), (0.7, 12.0))]
+MOUNTED = [(placed("load_mounting"), frequency) for frequency in (3.1, 25.0)]
+SETS = [
+    *([case] for case in ALL),
+    ALL,
+    # Two gains at one floor, or two changes of one story, multiply. Their derivatives need the product rule.
+    [*ALL, *SECOND_PLACES],
+    # An attached mass has two parameters and its own motion; a load on a mounting has a motion too.
+    *([case] for case in (*ATTACHED, *MOUNTED)),
+    *([*ALL, case, (placed("attached_mass", floor=1), (0.3, 5.0))] for case in ATTACHED),
+    *([*ALL, case] for case in MOUNTED),
+    # Beams of each floor by themselves change a matrix only together with joint rotation.
+    [CASES["joint_rotation"], BEAMS],
+    [*ALL, BEAMS],
+    # Bounded fits end at the null value. The formulas hold on both sides of it.
+    *([(there, tuple(item.null for item in there.effect.parameters))] for there, _ in ALL),
+]
 
 
 @pytest.mark.parametrize("number", range(len(NAMES)))
-def test_all_effects_together(number):
-    effects = [effect for effect, _ in CASES.values()]
-    own, scales = flat(list(CASES.values()))
-    assert_derivatives(effects, own, number, scales)
-
-
-@pytest.mark.parametrize("number", range(len(NAMES)))
-def test_effects_more_than_once(number):
-    """Two gains at one floor, or two changes of one story, multiply. Their derivatives need the product rule."""
-    cases = [*CASES.values(), *SECOND_PLACES]
+@pytest.mark.parametrize("cases", SETS, ids=lambda cases: cases[-1][0].label if len(cases) < 3 else str(len(cases)))
+def test_derivatives_are_difference_quotients(cases, number):
     own, scales = flat(cases)
     assert_derivatives([effect for effect, _ in cases], own, number, scales)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_at_the_null_value(name):
-    """Bounded fits end at the null value. The formulas hold on both sides of it."""
-    effect, _ = CASES[name]
-    nulls = [item.null for item in effect.effect.parameters]
-    assert_derivatives([effect], nulls, 1, [SCALES[name]] * len(nulls))
-
-
-@pytest.mark.parametrize(("mass", "frequency"), [(0.0, 2.0), (0.7, 3.1), (0.7, 12.0)])
-@pytest.mark.parametrize("number", range(len(NAMES)))
-def test_an_attached_mass(mass, frequency, number):
-    """An attached mass has two parameters and its own motion. Test it alone and with all other effects, including a
-    second one."""
-    there = placed("attached_mass", floor=3)
-    assert_derivatives([there], [mass, frequency], number, [1.0, 1.0])
-    more = placed("attached_mass", floor=1)
-    cases = [*CASES.values(), (there, mass), (more, 0.3)]
-    effects = [effect for effect, _ in cases]
-    own, scales = flat(list(CASES.values()))
-    assert_derivatives(effects, [*own, mass, frequency, 0.3, 5.0], number, [*scales, 1.0, 1.0, 1.0, 1.0])
-
-
-@pytest.mark.parametrize("frequency", [3.1, 25.0])
-@pytest.mark.parametrize("number", range(len(NAMES)))
-def test_loads_on_mountings(frequency, number):
-    """The load mounting has one parameter, and one additional motion per load. Test it alone and with all other
-    effects."""
-    there = placed("load_mounting")
-    assert_derivatives([there], [frequency], number, [1.0])
-    effects = [effect for effect, _ in CASES.values()]
-    own, scales = flat(list(CASES.values()))
-    assert_derivatives([*effects, there], [*own, frequency], number, [*scales, 1.0])
-
-
-@pytest.mark.parametrize("with_others", [False, True])
-def test_beams_of_each_floor_by_themselves(with_others):
-    """This class changes a matrix only together with joint rotation."""
-    (effect,) = (each.bound(experiment()) for each in open_classes() if each.name == "other_beams")
-    cases = list(CASES.values()) if with_others else [CASES["joint_rotation"]]
-    own, scales = flat(cases)
-    b = [0.3, -0.2, 0.6, -0.7]
-    assert_derivatives(
-        [*(each for each, _ in cases), LocatedEffect(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0]
-    )
 
 
 def test_every_effect_of_the_catalogue_is_tested():

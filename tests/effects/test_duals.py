@@ -1,5 +1,4 @@
-"""Frequencies alone cannot distinguish a chain from its dual: stories 1 / m from the top down, floors 1 / k
-likewise."""
+"""Frequencies alone cannot tell a chain from its dual: stories 1 / m from the top down, floors 1 / k likewise."""
 
 import numpy as np
 import pytest

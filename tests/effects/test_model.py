@@ -24,8 +24,7 @@ MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
 
 @pytest.mark.parametrize("stories", [1, 2, 5, 9])
 def test_stiffness_is_tridiagonal_and_in_equilibrium(stories):
-    """A displaced floor deforms its two adjacent stories, pulls at the neighboring floors, and does not load the
-    others."""
+    """A displaced floor deforms its two stories and pulls at the neighboring floors, not at others."""
     k = np.random.default_rng(stories).uniform(1e4, 4e4, stories)
     K = stiffness_matrix(k)
     for floor in range(stories):
@@ -56,8 +55,7 @@ def test_frequencies_of_the_papers_three_story_frame():
 
 @pytest.mark.parametrize("stories", [1, 3, 39, 40, 60])
 def test_a_uniform_frame_has_the_frequencies_of_a_uniform_chain(stories):
-    """omega_r = 2 sqrt(k / m) sin((2 r - 1) pi / (4 N + 2)); shapes are proportional to sin(i (2 r - 1) pi / (2 N +
-    1))."""
+    """omega_r = 2 sqrt(k / m) sin((2 r - 1) pi / (4 N + 2)); shapes follow sin(i (2 r - 1) pi / (2 N + 1))."""
     system = shear_system(np.full(stories, 5.0), np.full(stories, 2e3))
     found, r = modes(system.M, system.K), np.arange(1, stories + 1)
     np.testing.assert_allclose(

@@ -89,8 +89,7 @@ def linear(length: float) -> tuple[Polynomial, ...]:
 
 
 def own_axes(run: float, rise: float) -> Floats:
-    """Return the matrix from (ux, uy, turn) at both ends to (along, across, turn), shape (6, 6); run and rise point to
-    the far end."""
+    """Return the matrix, (6, 6), from (ux, uy, turn) at both ends to (along, across, turn), to the far end."""
     length = np.hypot(run, rise)
     cos, sin = run / length, rise / length
     one_end = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -40,8 +40,6 @@ def simulated(
     noise: float = 1.0,
     measured_floors: Sequence[int] | None = None,
     modes: int | None = None,
-    declare_heights: bool = True,
-    declare_total_mass: bool = True,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Test a frame with effects that the shear model lacks, or without an effect.
 
@@ -63,7 +61,6 @@ def simulated(
     measured_floors : sequence of int, optional
     modes : int, optional
         Number of modes, from the lowest.
-    declare_heights, declare_total_mass : bool, optional
 
     Returns
     -------
@@ -84,13 +81,8 @@ def simulated(
         if name is not None:
             there.append((name, practical_size(name, frame) if size is None else size, place))
     seen = _all_tested(frame, added, there)
-    declared: dict[str, Any] = {"stories": stories, "gravity": GRAVITY}
-    if declare_heights:
-        declared["story_heights"] = [HEIGHT] * stories
-    if declare_total_mass:
-        declared["total_mass"] = float(frame.floor_mass.sum())
     experiment = {
-        "frame": declared,
+        "frame": _declared(frame, frame.floor_mass.sum()),
         "configuration": [
             measured(each, rng, name=_name(number), added=extra, noise=noise, floors=measured_floors, modes=modes)
             for number, (each, extra) in enumerate(zip(seen, added, strict=True), 1)
@@ -146,15 +138,9 @@ def simulated_as_drawn(
     ValueError
         If the frame is unstable.
     """
-    stories = len(floor_mass)
-    frame = Building(np.full(stories, HEIGHT), story_stiffness, floor_mass)
+    frame = Building(np.full(len(floor_mass), HEIGHT), story_stiffness, floor_mass)
     experiment: dict[str, Any] = {
-        "frame": {
-            "stories": stories,
-            "gravity": GRAVITY,
-            "story_heights": [HEIGHT] * stories,
-            "total_mass": float(floor_mass.sum() / (1.0 + total_mass_error)),
-        },
+        "frame": _declared(frame, floor_mass.sum() / (1.0 + total_mass_error)),
         "configuration": [],
     }
     for number, (seen, added) in enumerate(zip(_all_tested(frame, added_mass, there), added_mass, strict=True), 1):
@@ -215,9 +201,15 @@ def simulated_attachment(
         floors = shapes[[model.coordinates["sway", level] for level in range(1, stories + 1)]]
         modes = SwayModes(np.sqrt(eigenvalues[seen]) / (2 * np.pi), floors[:, seen])
         tests.append(measured(modes, rng, name=_name(number), added=extra))
-    declared = {"stories": stories, "story_heights": [HEIGHT] * stories, "total_mass": float(frame.floor_mass.sum())}
     truth = {"mass": mass, "frequency": frequency, "floor_mass": frame.floor_mass}
-    return ({"frame": declared, "configuration": tests}, {**truth, "story_stiffness": frame.story_stiffness})
+    declared = {"frame": _declared(frame, frame.floor_mass.sum()), "configuration": tests}
+    return declared, {**truth, "story_stiffness": frame.story_stiffness}
+
+
+def _declared(frame: Building, total_mass: float) -> dict[str, Any]:
+    """Return the table of the frame in a measurement file."""
+    heights = [HEIGHT] * frame.stories
+    return {"stories": frame.stories, "gravity": GRAVITY, "story_heights": heights, "total_mass": float(total_mass)}
 
 
 def _drawn(stories: int, rng: np.random.Generator) -> Building:
@@ -229,7 +221,7 @@ def _drawn(stories: int, rng: np.random.Generator) -> Building:
 def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[SwayModes]:
     """Return the sensors' modes of each configuration, with the effects that act in it."""
     return [
-        _tested(frame, extra, [item for item in there if item[2]["configuration"] in (None, number)])
+        seen_by_sensors(frame, extra, [item for item in there if item[2]["configuration"] in (None, number)])
         for number, extra in enumerate(added, 1)
     ]
 
@@ -250,8 +242,7 @@ def measured(
     floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> dict[str, Any]:
-    """Return one configuration in the form of a test report: noise 0.1 % of frequencies, 1 % of each mode's largest
-    entry."""
+    """Return a test as in a report: noise 0.1 % of frequencies, 1 % of each mode's largest entry."""
     count = len(seen.frequencies)
     floors = list(range(1, count + 1)) if floors is None else list(floors)
     modes = count if modes is None else modes
@@ -401,6 +392,7 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "base_rocking": with_rocking_base,
     "ground_spring": with_ground_spring,
     "added_mass": with_mass,
+    "floor_mass": with_mass,
     "mass_coupling": with_heavy_columns,
     "story_change": with_story_change,
     "state_stiffness": with_softer_state,
@@ -415,8 +407,8 @@ OF_MASSES = ("state_mass", "load_scale")
 """Effects on the frame's own masses, or on the added ones alone."""
 
 
-def _tested(frame: Building, added: Floats, there: Sequence[Put]) -> SwayModes:
-    """Return the modes of one configuration as the sensors measure them."""
+def seen_by_sensors(frame: Building, added: Floats, there: Sequence[Put]) -> SwayModes:
+    """Return the modes of one configuration with these effects, in this order, as the sensors measure them."""
     gain = np.ones(frame.stories)
     sizes = {name: size for name, size, _ in there}
     own = frame.floor_mass * (1.0 + sizes.get("state_mass", 0.0))

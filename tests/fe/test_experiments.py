@@ -1,5 +1,4 @@
-"""Test simulated experiments: the package reads them, the truth explains them, and their noise is the declared
-noise."""
+"""Simulated experiments can be read, their truth explains them, and their noise is the declared one."""
 
 import numpy as np
 import pytest
@@ -10,8 +9,8 @@ from cvxshear.model import modes
 from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, OF_MASSES, measured, simulated
 from tests.fe.frame import SwayModes
 
-EFFECTS = sorted({*CHANGES, *OF_MASSES, "sensor_gain", "spring"} - {"bracing"})
-"""Effects that an experiment can have. Braces are excluded: they are visible only with another effect."""
+EFFECTS = sorted({*CHANGES, *OF_MASSES, "sensor_gain", "spring"} - {"bracing", "floor_mass"})
+"""Effects that an experiment can have. Braces are visible only with another effect; no floor masses are declared."""
 TALL = {"ground_spring", "spring"}
 """Effects without a place in a frame of one or two stories."""
 EXACT = 1e-8
@@ -95,13 +94,6 @@ def test_fewer_sensors_and_modes():
     for each in tested.configurations:
         assert each.mode_shapes.shape == (3, 2)
         np.testing.assert_array_equal(each.measured_floors, [2, 4])
-
-
-def test_what_is_not_declared():
-    rng = np.random.default_rng(8)
-    options = {"declare_heights": False, "declare_total_mass": False}
-    declared, _ = simulated(None, stories=2, configurations=2, rng=rng, **options)
-    assert set(declared["frame"]) == {"stories", "gravity"}
 
 
 def test_no_ground_spring_on_a_single_story():

@@ -80,8 +80,7 @@ def test_a_portal_on_hinges():
 
 
 def test_a_portal_with_a_bending_beam():
-    """Check 12 EI/h^3 (6s + 1) / (6s + 4) for two columns, s = (EI_b / L) / (EI / h): Kleinlogel's portal, feet
-    clamped."""
+    """12 EI/h^3 (6s + 1) / (6s + 4), s = (EI_b / L) / (EI / h), two columns: Kleinlogel's portal, feet clamped."""
     height, span, column, beam = 0.5, 0.8, 11.0, 4.0
     stiffness = 2 * 12 * column / height**3
     frame = Building(

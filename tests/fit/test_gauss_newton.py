@@ -141,8 +141,7 @@ def test_a_backend_that_refuses_is_asked_again_with_more_damping_six_times():
 
 
 def test_a_start_that_breaks_a_statement_is_moved_to_the_nearest_that_keeps_it():
-    """Distances are relative to each unknown's size: for x + y = 3 from (1, 1), sizes 1 and 2, the result is (1.2,
-    1.8)."""
+    """Distances are relative to each unknown's size: from (1, 1), with sizes 1 and 2, x + y = 3 gives (1.2, 1.8)."""
     said = Constraints(A=np.ones((1, 2)), b=np.array([3.0]))
     domain = Domain([NamedConstraints("sum", said)], np.array([1.0, 2.0]), np.full(2, np.inf))
     np.testing.assert_allclose(made_feasible(np.ones(2), domain, AUTO), [1.2, 1.8])

@@ -43,8 +43,7 @@ TAKE_A_PATH = {
 
 @pytest.mark.parametrize("function", TAKE_A_PATH)
 def test_every_public_function_takes_a_path(tmp_path, function):
-    """A path, a Path and the experiment itself give one result. The name of a built-in is accepted; other values are
-    refused."""
+    """A path, a Path and the experiment give one result; a built-in's name is accepted; other values are refused."""
     table = configuration(MASS, STIFFNESS, damping_ratios=[0.01, 0.02, 0.03])
     path = tmp_path / "three.toml"
     write_measurement(path, experiment(MASS, STIFFNESS, table))

@@ -57,8 +57,7 @@ def test_the_marginal_s_derivative(u):
 
 @pytest.mark.parametrize(("frequency", "shape"), [(0.002, 0.01), (0.006, 0.005), (0.001, 0.02), (0.005, 0.03)])
 def test_two_unknown_noises_are_each_found_by_itself(frequency, shape):
-    """Use the root mean square of the errors in their stated standard deviations, over six simulated tests per pair of
-    noises."""
+    """Root mean square of the errors in their stated deviations, over simulated tests of each pair of noises."""
     z = []
     for seed in range(3):
         found = identify(experiment_with(seed, frequency, shape)).to_dict()

@@ -14,8 +14,7 @@ WEIGHT = 1e-7
 
 
 class Linear:
-    """Residuals r = J theta - s. The derivatives may be wrong by a factor, and `refused` marks points without
-    residuals."""
+    """Residuals J theta - s, with derivatives wrong by a factor; `refused` marks points without residuals."""
 
     def __init__(self, J, s, *, factor=1.0, refused=lambda theta: False):
         self.J, self.s, self.factor, self.refused = np.asarray(J), np.asarray(s), factor, refused

@@ -61,8 +61,7 @@ def test_a_covariance_is_that_within_the_constraints_that_are_active(said, held,
 
 
 def test_an_interval_counts_as_knowledge_and_its_end_is_not_held():
-    """At an active bound of an interval, the covariance has the information 1 / std^2; other active bounds hold the
-    parameter."""
+    """At the end of an interval the covariance has the information 1 / std^2; other active bounds hold."""
     J = drawn()
     said = {"lower": [2.0, -9.0, -9.0, -9.0], "upper": [2.6, 9.0, 9.0, 3.0]}
     found = uncertainty(J, THETA, domain([0.17, np.inf, np.inf, np.inf], **said), NAMES)
@@ -117,8 +116,7 @@ def test_the_residual_of_students_distribution_is_its_log_density(tail):
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():
-    """Logarithms of masses have the deviation 1, of stiffnesses 2 about their mean; effects have Student's t; a common
-    size has a normal prior."""
+    """Logs: deviation 1 for masses, 2 for stiffnesses about their mean; effects: Student's t; a common size: normal."""
     scale = Scale(10.0, 5e3, np.full(2, 3.0))
     gain, mass = put("sensor_gain", floor=1), put("added_mass", floor=2, state="x")
     (other_gains,) = (each for each in open_classes() if each.name == "other_gains")

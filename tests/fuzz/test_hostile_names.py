@@ -50,11 +50,6 @@ FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "\t", "\r")
 """First letters of a formula in spreadsheet programs (OWASP)."""
 
 
-def test_the_names_are_many():
-    assert len(set(NAMES)) == len(NAMES) >= 50
-    assert set(WORST) <= set(NAMES)
-
-
 def toml_string(name: str) -> str:
     """Write a TOML string with every letter as a number, without the writer under test."""
     return '"' + "".join(f"\\U{ord(each):08x}" for each in name) + '"'

@@ -39,14 +39,12 @@ def outcomes():
 
 
 def most_wrong(count):
-    """Return the largest allowed number of wrong answers: a loop with success rate `BARELY` stays below it with
-    probability `LEVEL`."""
+    """Return the number of wrong answers a loop with success rate `BARELY` stays below with probability `LEVEL`."""
     return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
 
 
 def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
-    """An additional named effect counts as wrong unless the verdict is `ambiguous`: then its probability is below 95
-    %."""
+    """A further named effect is wrong unless the verdict is `ambiguous`: its probability is then below 95 %."""
     wrong = [
         (item.trial.effects, item.word, item.verdict, sorted(item.found, key=str))
         for item in outcomes
@@ -68,8 +66,7 @@ def test_probabilities_are_honest(outcomes):
 
 
 def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
-    """Each interval contains the truth in 95 of 100 cases. The errors in one frame are correlated: eight values count
-    like four."""
+    """Each interval holds the truth in 95 of 100 cases. Errors in one frame are correlated: eight count like four."""
     covered, count = coverage(outcomes)
     assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
     assert covered / count < 1.0

@@ -119,8 +119,7 @@ def test_the_next_test_is_of_a_state_that_still_stands(reference):
 
 
 def test_the_probability_of_an_effect_is_shared_by_its_places_as_the_file_expects_it():
-    """The probability for all three floors is 2 %. A floor declared with 30 % has 30 %; excluded floors get no
-    share."""
+    """All three floors together have 2 %. A floor declared with 30 % has 30 %; excluded floors get no share."""
     (gain,) = named(["sensor_gain"])
 
     def priors(*expected):

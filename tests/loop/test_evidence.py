@@ -67,8 +67,7 @@ def chi2s(of, mass, stiffness, effect, x):
 
 
 def log_prior_of(effect, x):
-    """Evaluate the densities of docs/theory/loop.md: Student's t with four degrees of freedom, its positive half,
-    uniform."""
+    """Evaluate the densities of docs/theory/loop.md: Student's t with four degrees, its positive half, uniform."""
     if effect is SPRING:
         return np.where(x >= 0, np.log(2.0) + stats.t.logpdf(x, 4, scale=2200.0), -np.inf)
     if effect is GRAVITY:

@@ -64,6 +64,22 @@ def test_the_gain_is_the_difference_of_evidences(base, linear, placed):
     assert linear.gains[LACKING.index(placed)] == pytest.approx(expected, abs=0.1)
 
 
+def test_effects_are_added_in_the_order_of_the_evidences_of_fits(base, linear):
+    """In each round the largest sum of evidence and log odds is added, until none is positive."""
+    log_odds, taken = np.array([4.0, 3.0, 3.0, 4.0, 4.0]), []
+    while len(taken) < len(LACKING):
+        now = log_evidence(refitted(base, *taken), EXPECTED)
+        gains = [
+            -np.inf if placed in taken else log_evidence(refitted(base, *taken, placed), EXPECTED) - now + odds
+            for placed, odds in zip(LACKING, log_odds, strict=True)
+        ]
+        if max(gains) < 0:
+            break
+        taken.append(LACKING[np.argmax(gains)])
+    assert linear.forward(log_odds) == taken
+    assert 2 < len(taken) < len(LACKING)
+
+
 def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
     fitted = refitted(base, MASS_3)
     assert linear.precision_gained(MASS_3) > 2
@@ -120,16 +136,11 @@ def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(line
     assert linear.confounders(CHANGE_4, names, share=0.999) == ("stiffness 4",)
 
 
-def drawn_columns(seed):
-    """Return columns of two parameters, a residual, and the expected sizes."""
-    rng = np.random.default_rng(seed)
-    return rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6), np.array([0.4, 1.5])
-
-
 def drawn_normal(seed):
-    """Return the slope b and the information h of these columns, and their sizes."""
-    columns, r, stds = drawn_columns(seed)
-    return -columns.T @ r, columns.T @ columns, stds
+    """Return the slope b and the information h of two parameters' columns and a residual, and the expected sizes."""
+    rng = np.random.default_rng(seed)
+    columns, r = rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6)
+    return -columns.T @ r, columns.T @ columns, np.array([0.4, 1.5])
 
 
 def gained(b, h, stds):
@@ -139,8 +150,7 @@ def gained(b, h, stds):
 
 
 def over_log_sizes(log_gain, points=4001):
-    """Return the log of the mean of a gain over a normal variable, and the point with the largest gain times
-    density."""
+    """Return the log of the mean of a gain over a normal variable, and where gain times density is largest."""
     t = np.linspace(-9.0, 9.0, points)
     logs = np.array([log_gain(each) for each in t]) + stats.norm.logpdf(t)
     return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]

@@ -97,8 +97,7 @@ def test_what_one_configuration_hides_is_not_found(name):
 
 @pytest.mark.parametrize(("seed", "part", "tuning"), [(1, 0.03, 0.97), (6, 0.05, 1.0), (5, 0.05, 2.2)])
 def test_a_mass_on_a_spring(seed, part, tuning):
-    """Find the mass and the frequency of a damper on the roof (tuned or nearly tuned) or a machine, and the frame's
-    parameters."""
+    """Find mass and frequency of a damper on the roof, tuned or nearly, or of a machine, and the frame's parameters."""
     floor = 2 if tuning > 2 else 4
     declared, truth = simulated_attachment(
         stories=4, configurations=2, rng=np.random.default_rng(seed), floor=floor, part=part, tuning=tuning
@@ -263,8 +262,7 @@ def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
 
 
 def test_held_out_errors_before_and_after_are_of_the_same_data():
-    """A change in one state cannot be predicted from the other states. The largest error excludes the data with this
-    change."""
+    """Other states do not predict a change in one state. The largest error excludes the data with this change."""
     declared, _ = simulated(
         "story_change", stories=4, configurations=3, rng=np.random.default_rng(4), configuration=3, story=2, size=-0.2
     )

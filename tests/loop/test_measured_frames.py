@@ -49,8 +49,7 @@ def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
 
 
 def test_los_alamos_names_six_of_eight_at_their_place_and_the_others_as_ties():
-    """The frame is nearly its own mirror image: with states 2 and 4 mirrored, the log evidence differs by less than
-    0.2."""
+    """The frame is nearly its own mirror image: mirrored states 2 and 4 change the log evidence by less than 0.2."""
     first = 0
     for item in built_in("los-alamos").effects:
         name, at, _ = DONE_AT_LOS_ALAMOS[item.placed.place.state]
@@ -84,8 +83,7 @@ def test_the_joints_of_the_mini_table_turn(name):
 
 @pytest.mark.parametrize("columns", ["flexible", "stiff"])
 def test_both_records_of_a_mini_table_say_the_same(columns):
-    """The results of an earthquake and a sine, with different amplitudes, agree within three of their standard
-    deviations."""
+    """Results of an earthquake and a sine of different amplitudes agree within three of their deviations."""
     (one,), (other,) = (built_in(f"mini-{columns}-{record}").effects for record in ("northridge", "sine"))
     difference = one.parameters["eta"] - other.parameters["eta"]
     assert abs(difference) < 3 * np.hypot(one.std["eta"], other.std["eta"])
@@ -98,8 +96,7 @@ def test_joints_turn_more_between_stiff_columns():
 
 
 def test_the_floors_of_southampton_weigh_what_they_should():
-    """Equal floors agree within 4 %, and their mean within 6 % of the nominal 5.36 kg of a sister; no mass was
-    declared."""
+    """Equal floors agree within 4 %, and their mean within 6 % of a sister's nominal 5.36 kg; no mass is declared."""
     closure = built_in("southampton")
     for frame in (closure.frame, closure.averaged):
         np.testing.assert_allclose(frame.floor_mass, frame.floor_mass.mean(), rtol=0.04)

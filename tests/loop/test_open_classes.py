@@ -1,5 +1,4 @@
-"""Test causes outside the catalogue, quantities that no measurement determines, wrong priors, and unexplained
-residuals."""
+"""Test causes outside the catalogue, undetermined quantities, wrong priors, and unexplained residuals."""
 
 import json
 from dataclasses import replace
@@ -56,8 +55,7 @@ def loop(tables, total, prior=(), **frame_keys):
 
 @pytest.mark.parametrize(("centre", "spread"), [(0.0, 50.0), (0.4, 0.1), (3.0, 0.5), (-0.2, 1.0)])
 def test_the_integral_over_a_parameter_is_that_of_likelihood_and_prior(centre, spread):
-    """Compare with quadrature of a normal likelihood times Student's t about the mode used by Laplace's
-    approximation."""
+    """Compare with quadrature of a normal likelihood times Student's t about the mode of Laplace's approximation."""
     size = 0.3
     grid = np.linspace(-20, 20, 400_001)
     log_posterior = stats.t(4).logpdf(grid / size) - 0.5 * ((grid - centre) / spread) ** 2
@@ -128,8 +126,7 @@ def measured_building(building, rng, accuracy=1e-3, **declared):
 
 
 def test_weaker_beams_of_one_floor_are_not_surely_a_sensor():
-    """The frame has finite elements. Half the beam stiffness at floor 1 resembles a sensor there that reads 13 % too
-    little."""
+    """Finite elements: half the beam stiffness at floor 1 resembles a sensor there that reads 13 % too little."""
     rng, mass, stiffness = frame(4)
     building = with_turning_joints(Building(np.full(N, 0.4), stiffness, mass), 0.8)
     building = replace(building, beam_bending=building.beam_bending * np.array([0.5, 1.1, 1.0, 1.0, 0.6]))
@@ -188,8 +185,7 @@ def test_a_state_that_is_softer_or_heavier_is_a_twin_where_no_mass_tells():
 
 @pytest.mark.parametrize("scaled", [False, True])
 def test_a_mass_scale_in_every_state_leaves_nothing_to_take_for_granted(scaled):
-    """One story is softer. Shapes of unit modal mass distinguish heavier floors from softer stories; other shapes do
-    not."""
+    """One story is softer. Shapes of unit modal mass tell heavier floors from softer stories; others do not."""
     rng, mass, stiffness = frame(11)
     tables = []
     for name, k in (("before", stiffness), ("after", stiffness * [1.0, 1.0, 0.85, 1.0, 1.0])):
@@ -241,8 +237,7 @@ def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
-    """Test the bare frame and a known mass. One softer story, seen in frequencies alone, must fit at least like the
-    truth."""
+    """Tests bare and with a mass. One softer story, seen in frequencies alone, must fit at least like the truth."""
     rng, mass, stiffness = frame(seed, n=6)
     softer = stiffness * np.where(np.arange(6) == seed % 6, 0.8, 1.0)
     load = 1.5 * np.eye(6)[5]
@@ -319,8 +314,7 @@ def test_an_exact_statement_that_does_not_hold_is_named(quantity):
 
 
 def test_an_exact_statement_that_holds_is_no_cause():
-    """If the data cannot distinguish the statement from the frame, the verdict depends on the statement and no cause is
-    named."""
+    """If the data cannot tell the statement from the frame, the verdict depends on it, and no cause is named."""
     rng, mass, stiffness = frame(8)
     right = {"kind": "ratio", "quantity": "floor_mass", "of": 5, "to": 1, "value": mass[4] / mass[0]}
     held = loop([measured_in(mass, stiffness, rng, name="t")], mass.sum(), prior=[right])
@@ -333,8 +327,7 @@ def test_an_exact_statement_that_holds_is_no_cause():
 
 
 def test_what_nothing_explains_is_provisional():
-    """The noise is fifty times the declared noise, and only frequencies are measured. No set explains the data, and no
-    effect is certain."""
+    """Frequencies alone, with fifty times the declared noise: no set explains them, and no effect is certain."""
     rng, mass, stiffness = frame(9)
     keys = {"shapes": False, "state": "one", "accuracy": 0.05}
     wrong = [measured_in(mass, stiffness, rng, name=f"t{i}", **keys) | {"frequency_std": 0.001} for i in range(3)]
@@ -418,8 +411,7 @@ def pulled(mass, stiffness, rng, part):
 
 @pytest.mark.parametrize("cause", ["shape_scale", "force_scale"])
 def test_a_force_that_was_misread_is_not_two_wrong_masses(cause):
-    """The total and the added masses are right: the shapes are 5 % too small, or the pull is 20 % larger than
-    declared."""
+    """The total and the added masses are right: shapes are 5 % too small, or the pull 20 % larger than declared."""
     rng, mass, stiffness = frame(3)
     loads = np.zeros(N), np.array([0.0, 3.0, 0.0, 2.0, 0.0]), np.array([1.0, 0.0, 2.0, 0.0, 3.0])
     make = normalized if cause == "shape_scale" else lambda *given, **keys: measured_in(*given[:3], **keys)
@@ -455,8 +447,7 @@ def test_residuals_by_a_factor_on_readings_or_masses(cause):
 
 
 def test_declared_floor_masses_that_are_all_off_are_the_twin_of_wrong_loads():
-    """All masses are declared 8 % too small and the added masses are right. Added masses 7.4 % lighter give the same
-    data."""
+    """All masses are declared 8 % too small, added masses right. Added masses 7.4 % lighter give the same data."""
     rng, mass, stiffness = frame(6)
     loads = np.zeros(N), np.array([0.0, 4.0, 0.0, 3.0, 0.0]), np.array([4.0, 0.0, 2.0, 0.0, 3.0])
     tables = [
@@ -561,8 +552,7 @@ def measured_of(M, K, which, rng, **keys):
 
 @pytest.fixture(scope="module")
 def tank_after():
-    """Return a frame before and after a tank of 1.6 kg at 6.2 Hz, between its first two modes, was added on the
-    roof."""
+    """Return a frame before and after a tank of 1.6 kg at 6.2 Hz, between its first two modes, came on the roof."""
     rng, mass, stiffness = frame(21)
     M, K = with_attached(mass, stiffness, [(5, 1.6, 6.2)])
     found = modes(M, K)
@@ -586,8 +576,7 @@ def test_a_tank_that_came_between_two_tests_is_found_in_that_state(tank_after, r
 
 
 def test_a_neighbor_that_came_between_two_tests_is_no_lighter_floor():
-    """The neighbor is 12 kg on a spring of 20 kN/m, tied to floor 4 by 4 kN/m: a ground spring with a mass behind
-    it."""
+    """The neighbor, 12 kg on a spring of 20 kN/m, is tied to floor 4 by 4 kN/m: a ground spring with a mass."""
     rng, mass, stiffness = frame(23)
     M, K = np.diag([*mass, 12.0]), np.pad(stiffness_matrix(stiffness), ((0, 1), (0, 1)))
     tie = np.array([0.0, 0.0, 0.0, 1.0, 0.0, -1.0])

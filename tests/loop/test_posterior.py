@@ -30,8 +30,7 @@ def posterior(*models, prior=PRIOR, priors=()):
 
 
 def test_probabilities_are_those_of_the_scores():
-    """The scores are far below the range of an exponential. The probabilities of all sets add up to one, and an
-    effect's is the sum over its sets."""
+    """Scores far below the range of an exponential. Sets add up to one; an effect has the sum over its sets."""
     of = posterior(model([], 0.1), model([A], 0.6, log_prior=-3.0), model([A, B], 0.2), model([C], 0.1))
     np.testing.assert_allclose(of.probabilities, [0.6, 0.2, 0.1, 0.1], rtol=1e-9)
     assert of.best.effects == {A}
@@ -72,8 +71,7 @@ def test_a_cause_in_one_state_counts_with_those_of_the_frame():
 
 
 def test_the_deviation_of_an_effect_holds_the_scatter_between_its_sets():
-    """A is in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1. The deviation is the mean square about the first; a
-    set without A does not count."""
+    """A is in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1: the mean square about the first, over these."""
 
     def fitted(value, std):
         return SimpleNamespace(
@@ -155,8 +153,7 @@ def test_a_twin_is_a_rival_however_improbable_it_was():
 
 
 def test_an_effect_with_a_rival_is_added_where_one_of_the_two_is_surely_there():
-    """The probabilities at two places are 0.46 and 0.44: an effect is present, and the rivals show its possible
-    places."""
+    """Two places have 0.46 and 0.44: an effect is present, and the rivals show its possible places."""
     of = posterior(model([A], 0.46, chi2=20.0), model([B], 0.44, chi2=22.0), model([], 0.1, chi2=60.0, dof=21))
     assert not of.rivals(A)[0].twin
     assert of.verdict_set() == {A}

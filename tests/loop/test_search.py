@@ -110,8 +110,7 @@ def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
 
 
 def test_a_hopeless_misfit_ends_after_few_fits():
-    """All standard deviations are a hundred times too small, or one test is in rad/s: the search must give up
-    quickly."""
+    """Deviations a hundred times too small, or one test in rad/s: the search must give up quickly."""
     too_sure, _ = simulated(None, stories=3, configurations=3, rng=np.random.default_rng(3))
     in_rad = copy.deepcopy(too_sure)
     for table in too_sure["configuration"]:
@@ -230,8 +229,7 @@ def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
 
 
 def apart(accepted, rival, floor, mass, noise):
-    """Return the standard deviations between two models with rods, computed with numpy: D^2 = r' (1 + J C J' + J_r C_r
-    J_r')^-1 r."""
+    """Return the deviations between two models with rods, by numpy: D^2 = r' (1 + J C J' + J_r C_r J_r')^-1 r."""
     added = mass * (np.arange(1, 5) == floor)
 
     def seen(estimate, theta):

@@ -22,8 +22,7 @@ COUNTERWEIGHTS = ([0.0, 0.0, 0.0, 0.0], [0.0, 3.0, 0.0, 5.0])
 
 
 def damaged(seed=0, *, reference=None, story=2, change=-0.15, missed=0.0, noise=1.0):
-    """Return two states, each tested with and without counterweights. One story is softer after, and a mass may be
-    undeclared."""
+    """Return two states, with and without counterweights. One story is softer after; a mass may be undeclared."""
     rng = np.random.default_rng(seed)
     tables = []
     for state, factor, extra in (("before", 1.0, 0.0), ("after", 1.0 + change, missed)):
@@ -139,8 +138,7 @@ def test_a_total_with_a_standard_deviation_is_weighed_with_the_rest():
 
 
 def heavy_columns(seed):
-    """Return floors lighter than a shear frame's in every test. Only columns too heavy for their floors would cause
-    this."""
+    """Return floors lighter than a shear frame's in every test, as only columns too heavy for their floors cause."""
     rng = np.random.default_rng(seed)
     n = 4
     own = (13 / 35 - 1 / 2) * np.diag([2.0, 2, 2, 1]) + 9 / 70 * (np.eye(n, k=1) + np.eye(n, k=-1))
@@ -163,8 +161,7 @@ BACKENDS = ["auto", *backends.available()]
 
 @pytest.mark.parametrize("backend", [name for name in BACKENDS if name != "kkt"])
 def test_columns_are_no_heavier_than_the_floors_that_hold_them(backend):
-    """The limits are mu <= m_i and mu / 2 <= m_N. The data favor larger values; the estimate reaches the limit and does
-    not exceed it."""
+    """The data favor more than the limits mu <= m_i and mu / 2 <= m_N; the estimate reaches and keeps them."""
     found = efficient(heavy_columns(0), backends.get(backend), [put("mass_coupling")])
     mass, mu = found.theta[:4], found.theta[-1]
     rounding = 1e-6 * mass.mean()
@@ -210,8 +207,7 @@ def test_every_backend_closes_the_loop_on_the_published_frame_or_says_which_stoo
 
 
 def test_carrying_out_the_next_test_tells_the_rivals_apart():
-    """In one configuration, chord drift of three stories resembles rocking. Add the proposed mass and repeat the
-    test."""
+    """In one test, chord drift of three stories resembles rocking. Add the proposed mass and repeat the test."""
     seed, wanted = 21, ["axial_columns", "base_rocking"]
     first, _ = simulated("axial_columns", stories=3, configurations=1, rng=np.random.default_rng(seed))
     before = close_loop(Experiment.from_dict(first), effects=wanted)

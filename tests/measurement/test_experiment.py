@@ -93,7 +93,9 @@ def test_configuration_defaults():
     assert found.mass_normalized is False
     assert found.mode_shape_noise == "additive"
     assert found.frequency_std is None
+    assert_array_equal(found.log_frequency_std, [0.002] * 3)
     assert found.mode_shape_std is None
+    assert_array_equal(found.entry_std, np.full((3, 3), 0.01))
     assert found.damping_ratios is None
     assert found.noise_declared is False
     assert found.complete
@@ -102,11 +104,8 @@ def test_configuration_defaults():
 
 def test_configurations_without_a_name_are_numbered():
     declared = {"configuration": [state(added_mass=[1, 0, 0]), state(name="B"), state()]}
-    assert [each.name for each in Experiment.from_dict(declared).configurations] == [
-        "configuration 1",
-        "B",
-        "configuration 3",
-    ]
+    names = [each.name for each in Experiment.from_dict(declared).configurations]
+    assert names == ["configuration 1", "B", "configuration 3"]
 
 
 @pytest.mark.parametrize("std", [0.003, [0.003, 0.003, 0.003]])
@@ -114,12 +113,6 @@ def test_frequency_std_of_one_number_or_one_a_mode(std):
     found = only(frequency_std=std)
     assert_array_equal(found.frequency_std, [0.003] * 3)
     assert_array_equal(found.log_frequency_std, [0.003] * 3)
-
-
-def test_without_std_the_defaults_weigh():
-    found = only()
-    assert_array_equal(found.log_frequency_std, [0.002] * 3)
-    assert_array_equal(found.entry_std, np.full((3, 3), 0.01))
 
 
 @pytest.mark.parametrize(

@@ -194,58 +194,48 @@ SQUARE = COVARIANCE.tolist()
 TESTS = [[3.25, 8.91], [3.26, 8.93], [3.24, 8.92]]
 
 
+COVARIANCES = [
+    ([[1e-6]], "frequency_covariance must have 3 rows, one for each frequency, not 1"),
+    ([[1e-6, 0]] * 3, "frequency_covariance has 2 entries a row; it must be square, 3 by 3"),
+    (
+        [[4e-6, 1e-6, 0], [0, 4e-6, 0], [0, 0, 4e-6]],
+        "frequency_covariance must be symmetric: entry [i][j] equal to entry [j][i]",
+    ),
+    ([[4e-6] * 3] * 3, "frequency_covariance must be positive definite: a variance above"),
+]
+REPEATS = [
+    ({"frequencies": TESTS[:1]}, "repeats: frequencies must have two tests at least"),
+    ({"frequencies": 3.0}, "repeats are lists with an item for each test, not 3.0"),
+    (
+        {"frequencies": [[3.25, 8.9], [3.26, 8.9]]},
+        "repeats: frequency 2 is the same in every test, so that its scatter is unknown: write more digits",
+    ),
+    ({"frequencies": TESTS, "block": ["a"]}, "block must have 3 entries, one a test"),
+    (
+        {"frequencies": TESTS, "mode_shapes": [[[1.0], [1.0]]] * 2},
+        "mode_shapes must have 3 tests, each with the same sensors",
+    ),
+    ({"frequencies": TESTS, "mode_shapes": [[[1.0, 2.0], [1.0, 3.0]]] * 3}, "shape 1 is the same in every test"),
+    ({"frequencies": TESTS, "days": []}, "the table: unknown key 'days'"),
+]
+GIVEN = {"frequencies": FREQUENCIES.tolist()}
+
+
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"frequency_covariance": [[1e-6]]}, "frequency_covariance must have 3 rows, one for each frequency, not 1"),
+        *((GIVEN | {"frequency_covariance": value}, message) for value, message in COVARIANCES),
+        *(({"repeats": value}, message) for value, message in REPEATS),
         (
-            {"frequency_covariance": [[1e-6, 0]] * 3},
-            "frequency_covariance has 2 entries a row; it must be square, 3 by 3",
-        ),
-        (
-            {"frequency_covariance": [[4e-6, 1e-6, 0], [0, 4e-6, 0], [0, 0, 4e-6]]},
-            "frequency_covariance must be symmetric: entry [i][j] equal to entry [j][i]",
-        ),
-        (
-            {"frequency_covariance": [[4e-6] * 3] * 3},
-            "frequency_covariance must be positive definite: a variance above",
-        ),
-        (
-            {"frequency_covariance": SQUARE, "frequency_std": 0.01},
+            GIVEN | {"frequency_covariance": SQUARE, "frequency_std": 0.01},
             "frequency_std and frequency_covariance are both given: leave frequency_std out",
         ),
-        ({"repeats": {"frequencies": TESTS}}, "frequencies and repeats are both given: leave frequencies out"),
-        (
-            {"frequencies": None, "repeats": {"frequencies": TESTS[:1]}},
-            "repeats: frequencies must have two tests at least",
-        ),
-        (
-            {"frequencies": None, "repeats": {"frequencies": 3.0}},
-            "repeats are lists with an item for each test, not 3.0",
-        ),
-        (
-            {"frequencies": None, "repeats": {"frequencies": [[3.25, 8.9], [3.26, 8.9]]}},
-            "repeats: frequency 2 is the same in every test, so that its scatter is unknown: write more digits",
-        ),
-        (
-            {"frequencies": None, "repeats": {"frequencies": TESTS, "block": ["a"]}},
-            "block must have 3 entries, one a test",
-        ),
-        (
-            {"frequencies": None, "repeats": {"frequencies": TESTS, "mode_shapes": [[[1.0], [1.0]]] * 2}},
-            "mode_shapes must have 3 tests, each with the same sensors",
-        ),
-        (
-            {"frequencies": None, "repeats": {"frequencies": TESTS, "mode_shapes": [[[1.0, 2.0], [1.0, 3.0]]] * 3}},
-            "shape 1 is the same in every test",
-        ),
-        ({"frequencies": None, "repeats": {"frequencies": TESTS, "days": []}}, "the table: unknown key 'days'"),
+        (GIVEN | {"repeats": {"frequencies": TESTS}}, "frequencies and repeats are both given: leave frequencies out"),
     ],
 )
 def test_the_message_says_what_to_change(keys, message):
-    table = {"frequencies": FREQUENCIES.tolist(), **keys}
     with pytest.raises(InputError) as caught:
-        Experiment.from_dict(declared(**{key: value for key, value in table.items() if value is not None}))
+        Experiment.from_dict(declared(**keys))
     assert 'configuration "bare": ' in str(caught.value)
     assert message in str(caught.value)
 

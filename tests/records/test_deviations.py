@@ -75,5 +75,7 @@ def test_files_tables_and_json_have_the_same_deviations():
     plain, table, written = given.to_dict(), given.to_dataframe(), given.configuration()
     np.testing.assert_allclose(plain["frequency_std"], written["frequency_std"])
     np.testing.assert_allclose(table["frequency_std_Hz"] / table["frequency_Hz"], written["frequency_std"])
+    assert table.index.tolist() == [1, 2]
+    np.testing.assert_array_equal(table[["floor_1", "floor_2"]], given.mode_shapes)
     np.testing.assert_allclose(plain["entry_std"], written["mode_shape_std"])
     np.testing.assert_allclose(plain["damping_std"], table["damping_ratio_std"])

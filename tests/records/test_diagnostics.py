@@ -14,12 +14,11 @@ from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, from_a
 from cvxshear.records.clocks import offsets
 from cvxshear.records.diagnostics import reciprocity_findings
 from cvxshear.records.examination import examined
-from cvxshear.records.prepare import in_step, struck
+from cvxshear.records.prepare import in_step, only, struck
 from cvxshear.records.record import Finding
 from cvxshear.records.result import SENSOR_STD
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf
-from tests.studies.record_faults import only
 
 QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
 
@@ -85,7 +84,7 @@ def test_clock_offset_is_found_and_corrected(record):
 @pytest.mark.parametrize(("kept", "both"), [([0, 2], True), ([0, 1, 2], False)])
 def test_of_two_clocks_alone_nobody_tells_which_is_off(kept, both):
     record = in_step(ambient_record(PAPER_FRAME, 3, noise=0.01, duration=600.0), {"floor3": (-0.01, 0.0)})
-    [finding] = found(identify_modes(only(record, np.array(kept))), "clock offset")
+    [finding] = found(identify_modes(only(record, kept)), "clock offset")
     assert finding.numbers["channel"] == "floor3"
     assert ("which of the two is off no third clock tells" in finding.message) is both
 

@@ -1,20 +1,25 @@
-"""Test figures of identified modes: no overlap, and values equal to the result."""
+"""Test figures of identified modes and of floors that turn: no overlap, and values equal to the result."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
+from matplotlib.patches import Ellipse
 
 import cvxshear
 from cvxshear import close_loop
+from cvxshear.cli import main
 from cvxshear.records import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.mode_figures import mode_shapes
+from cvxshear.report.html import render
 from cvxshear.util.errors import InputError
-from tests.frames import chain
+from tests.fe.plan_frames import random_frame
+from tests.frames import EXAMPLES, chain
 from tests.report.test_figures import assert_readable
 
 OF_RECORDS = (figures.stabilization, figures.functions, figures.modal_shapes)
@@ -134,3 +139,69 @@ def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
     """A file without a named kind gets this figure; a report has the others in this order."""
     expected = ["stabilization", "amplitude", "functions", "shapes", "plan_shapes"]
     assert list(figures.figures_of(ModalResult)) == expected
+
+
+def test_plans_show_the_centers_with_ellipses_of_95_percent():
+    result = cvxshear.identify(random_frame(2, 3).experiment(noise=0.005, std=0.005, seed=1), method="one-shot")
+    figure = figures.plans(result)
+    assert_readable(figure)
+    for floor, axes in enumerate(figure.axes):
+        centers = {line.get_label(): np.ravel(line.get_data()) for line in axes.lines}
+        np.testing.assert_allclose(centers["center of mass"], result.frame.mass_center[floor])
+        np.testing.assert_allclose(centers["center of stiffness"], result.frame.stiffness_center[floor])
+        of_mass = next(each for each in axes.patches if isinstance(each, Ellipse))
+        # Chi-square of two degrees of freedom is below 5.991 with 95 %.
+        expected = 2.0 * np.sqrt(5.991) * result.frame.mass_center_std[floor]
+        np.testing.assert_allclose([of_mass.width, of_mass.height], expected, rtol=1e-4)
+
+
+def test_modes_from_above_name_their_shares():
+    result = cvxshear.identify(
+        random_frame(2, 31, symmetric=True).experiment(noise=0.001, std=0.001), method="one-shot"
+    )
+    figure = figures.plan_shapes(result)
+    assert_readable(figure)
+    titles = [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
+    assert len(titles) == 6
+    assert all("100 %" in title or "9" in title for title in titles)
+
+
+def test_a_page_of_an_identification(tmp_path):
+    page = tmp_path / "frame.html"
+    with pytest.raises(SystemExit) as stopped:
+        main(["identify", str(EXAMPLES / "turning_floors.toml"), "--report", str(page), "--quiet"])
+    assert stopped.value.code == 0
+    text = page.read_text()
+    for figure in ("plans", "plan_shapes"):
+        assert f'id="figure-{figure}"' in text
+    with pytest.raises(InputError, match="floors that turn"):
+        figures.plans(cvxshear.identify("paper"))
+
+
+def test_the_page_of_a_loop_moves_the_plans_of_its_floors():
+    """A corner at r from the reference moves by u + theta (-r_y, r_x), with u and theta from the sensors' readings."""
+    result = cvxshear.close_loop("examples/turning_floors.toml")
+    page = render(result, command="cvxshear loop examples/turning_floors.toml")
+    drawing = re.search(r'<figure id="figure-swaying">(.*?)</figure>', page, re.DOTALL)[1]
+    panels = re.findall(r"<title>mode (\d): (.*?) Hz; (.*?)</title>(.*?)</g></g>", drawing, re.DOTALL)
+    assert [int(number) for number, *_ in panels] == list(range(1, 10))
+    tested, found = result.experiment.configurations[0], result.estimate.predictions[0]
+    corners = np.array([[x, y] for x, y in ((-6.0, -4.5), (6.0, -4.5), (6.0, 4.5), (-6.0, 4.5))])
+    for place, (_, frequency, said, drawn) in enumerate(panels):
+        assert float(frequency) == pytest.approx(tested.frequencies[place], rel=1e-3)
+        assert "rotation" in said
+        rest, moved = (
+            np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), dtype=float).reshape(3, 4, 2)
+            for path in re.findall(r' d="(.*?)"', drawn)[:2]
+        )
+        shape = found.mode_shapes[found.modes[place] - 1]
+        expected = []
+        for floor in range(3):
+            # Readings along x and y at (6, 4.5), and along x at (-6, -4.5).
+            along, across, opposite = shape[3 * floor : 3 * floor + 3]
+            turn = (opposite - along) / 9.0
+            u = np.array([along + 4.5 * turn, across - 6.0 * turn])
+            expected.append(u + turn * np.column_stack([-corners[:, 1], corners[:, 0]]))
+        pixels = (moved - rest) * [1.0, -1.0]
+        scale = np.max(np.abs(pixels)) / np.max(np.abs(expected))
+        np.testing.assert_allclose(pixels, scale * np.array(expected), atol=0.2)

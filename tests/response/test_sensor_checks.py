@@ -98,6 +98,14 @@ def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
     np.testing.assert_allclose(found.runs[1].excitation, -2.0)
 
 
+def test_exchanged_channels_change_their_floors():
+    exchanged = told("swapped channels", "a and d are exchanged", channels=["a", "d"], corrected=True)
+    perhaps = told("swapped channels", "perhaps", channels=["a", "b"], corrected=False)
+    _, found = corrected(CHANNELS, sensors(), [exchanged, perhaps], [])
+    assert found.floors.tolist() == [3, 2, 1]
+    assert found.remarks == ("a and d are exchanged", "perhaps")
+
+
 def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors():
     record = sensors()
     drift = told("clock drift", "a drifts", channel="a", seconds=0.01, drift=0.002)

@@ -78,16 +78,14 @@ def test_rad_per_second_are_told_from_a_buildings_height():
 @pytest.mark.parametrize(
     ("key", "value", "names"),
     [
-        ("frequency_std", 1e-9, ["deviations"]),
         ("frequency_std", 0.1, ["deviations"]),
         ("frequency_std", 1e-5, []),
         ("frequency_std", [0.002, 0.004, 0.02], []),
-        ("mode_shape_std", 1e-30, ["deviations"]),
         ("mode_shape_std", 1.0, ["deviations"]),
         ("mode_shape_std", 0.1, []),
     ],
 )
-def test_deviations_that_no_instrument_has_and_percent_are_asked_about(key, value, names):
+def test_deviations_in_percent_are_asked_about(key, value, names):
     declared = building()
     declared["configuration"][1][key] = value
     assert told(declared) == names

@@ -12,10 +12,10 @@ import dataclasses
 import numpy as np
 
 from cvxshear.records import identify_modes
+from cvxshear.records.prepare import only
 from cvxshear.records.record import TimeRecord
 from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.errors import CvxshearError
-from tests.studies.record_faults import only
 
 METHODS = {"subspace": "base", "ssi": "none", "era": "force"}
 WITHIN = 1.96

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records import ModalResult, identify_modes
+from cvxshear.records.prepare import only
 from cvxshear.records.record import Run, TimeRecord
 from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, shaker_record
 from cvxshear.util.errors import CvxshearError
@@ -92,7 +93,7 @@ def sound_record(seed: int, kind: str) -> TimeRecord:
         record = decay_record(frame, random, noise, rate)
     absent = random.choice(np.arange(stories - 1 if stories > 4 else stories), min(2, stories - 3), replace=False)
     absent = absent[: int(random.integers(1, len(absent) + 1))]
-    return only(record, np.setdiff1d(np.arange(stories), absent))
+    return only(record, np.setdiff1d(np.arange(stories), absent).tolist())
 
 
 def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, rate: float) -> TimeRecord:
@@ -116,12 +117,6 @@ def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, r
         runs.append(Run(moved, name=f"release {release + 1}"))
     base = base_record(frame, 0, noise=0.0, duration=20.0, sampling_rate=rate)
     return dataclasses.replace(base, runs=tuple(runs), input="free_decay", name="simulated free_decay")
-
-
-def only(record: TimeRecord, columns: np.ndarray) -> TimeRecord:
-    """Return the record with these columns only."""
-    runs = tuple(dataclasses.replace(run, responses=run.responses[:, columns]) for run in record.runs)
-    return dataclasses.replace(record, channels=tuple(record.channels[c] for c in columns), runs=runs)
 
 
 def case_of(seed: int, kind: str, fault: str) -> Case:

@@ -37,12 +37,8 @@ LABEL_DISTANCE = 0.07
 THICKEST = 7.0
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Horizontal places of the columns of a drawn frame, as fractions of the panel's width."""
-
-    left: float
-    right: float
+#: Horizontal places of the two columns of a drawn frame, as fractions of the panel's width.
+Columns = tuple[float, float]
 
 
 def elevations(experiment: Experiment) -> tuple[Floats, str]:
@@ -53,22 +49,22 @@ def elevations(experiment: Experiment) -> tuple[Floats, str]:
     return declared, "elevation, m"
 
 
-def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> None:
+def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: Columns) -> None:
     """Draw the ground, columns with widths by story stiffness, and slabs with thicknesses by floor mass."""
     heights, total = np.diff(z, prepend=0.0), float(z[-1])
     mass, stiffness = (np.nan_to_num(values) for values in (found.floor_mass, found.story_stiffness))
     slabs = SLAB * float(heights.min()) * mass / (float(mass.max()) or 1.0)
     strokes = THICKEST * stiffness / (float(stiffness.max()) or 1.0)
-    wide = at.right - at.left
-    below = (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total
+    left, right = at
+    below = (left - 0.04, -0.04 * total), right - left + 0.08, 0.04 * total
     axes.add_patch(Rectangle(*below, fc="none", ec=style.GREY, hatch="////", lw=0))
-    axes.plot([at.left - 0.04, at.right + 0.04], [0, 0], color="black", lw=1.0)
+    axes.plot([left - 0.04, right + 0.04], [0, 0], color="black", lw=1.0)
     for low, high, stroke in zip(z - heights, z, strokes, strict=True):
-        for side in (at.left, at.right):
+        for side in at:
             axes.plot([side, side], [low, high], color=style.AFTER, lw=stroke, solid_capstyle="butt")
     for level, slab in zip(z, slabs, strict=True):
-        place = (at.left - 0.02, level - slab / 2)
-        axes.add_patch(Rectangle(place, wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3))
+        place = (left - 0.02, level - slab / 2)
+        axes.add_patch(Rectangle(place, right - left + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3))
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
     # Without heights the axis shows floor numbers, which are integers.
@@ -210,7 +206,7 @@ def _wrapped(texts: Sequence[str]) -> str:
 
 def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_Mark], height: float) -> None:
     z, label = elevations(result.experiment)
-    at = _Columns(0.10, 0.34)
+    at = _, right = 0.10, 0.34
     _structure(axes, result.averaged, z, at)
     _sensors(axes, result.experiment, state, z, at)
     total = float(axes.get_ylim()[1])
@@ -224,11 +220,11 @@ def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_M
             _tie(axes, float(base[low]), float(base[high]), at, sure=mark.sure)
         if not mark.joined:
             _mark(axes, mark.placed, z, at, sure=mark.sure)
-        _leader(axes, (at.right + 0.05, middle), (at.right + LABEL_DISTANCE + 0.02, level))
-        axes.text(at.right + LABEL_DISTANCE + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
+        _leader(axes, (right + 0.05, middle), (right + LABEL_DISTANCE + 0.02, level))
+        axes.text(right + LABEL_DISTANCE + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
         words = "nothing was found here"
-        axes.text(at.right + LABEL_DISTANCE, total / 2, words, ha="left", va="center", color=style.GREY, style="italic")
+        axes.text(right + LABEL_DISTANCE, total / 2, words, ha="left", va="center", color=style.GREY, style="italic")
     found = sum(mark.placed.place.state == state for mark in marks if mark.sure)
     heading = "every state" if state is None else style.letters(state, 18)
     if state is not None and not heading.casefold().startswith("state"):
@@ -237,13 +233,11 @@ def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_M
     axes.set_ylabel(label)
 
 
-def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, at: _Columns) -> None:
+def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, at: Columns) -> None:
     """Mark the floors that have a sensor in some test of a state."""
     tests = [each for each in experiment.configurations if state in (None, each.state)]
     floors = sorted({int(floor) for each in tests for floor in each.measured_floors})
-    axes.plot(
-        [at.left - 0.06] * len(floors), z[np.array(floors, dtype=int) - 1], ls="none", marker=">", color=style.GREY
-    )
+    axes.plot([at[0] - 0.06] * len(floors), z[np.array(floors, dtype=int) - 1], ls="none", marker=">", color=style.GREY)
 
 
 def _extent(placed: LocatedEffect, z: Floats) -> tuple[float, float]:
@@ -256,33 +250,33 @@ def _extent(placed: LocatedEffect, z: Floats) -> tuple[float, float]:
     return float(base[place.floor]), float(base[place.floor if place.to is None else place.to])
 
 
-def _mark(axes: Axes, placed: LocatedEffect, z: Floats, at: _Columns, *, sure: bool) -> None:
+def _mark(axes: Axes, placed: LocatedEffect, z: Floats, at: Columns, *, sure: bool) -> None:
     """Colour the part that an effect acts on: a story, a floor, a tie between two floors, or the whole frame."""
-    place, (low, high) = placed.place, _extent(placed, z)
+    place, (low, high), (left, right) = placed.place, _extent(placed, z), at
     if place.to is not None:
         _tie(axes, low, high, at, sure=sure)
         return
     if place.story is None and place.floor is None:
         # A bracket beside the frame marks the whole frame without hiding it.
-        axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
+        axes.plot([right + 0.03, right + 0.05, right + 0.05, right + 0.03], [low, low, high, high],
                   color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
     # A story is marked without its floors, a floor with a margin.
     thick = 0.16 * float(np.diff(z, prepend=0.0).min()) * (1 if place.story is None else -1)
     low, high = low - thick, high + thick
-    corner, wide = (at.left - 0.035, low), at.right - at.left + 0.07
+    corner, wide = (left - 0.035, low), right - left + 0.07
     band = Rectangle(corner, wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
     if sure:
         band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
     axes.add_patch(band)
-    for side in (at.left, at.right) if sure and place.story is not None else ():
+    for side in at if sure and place.story is not None else ():
         axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
 
 
-def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> None:
+def _tie(axes: Axes, low: float, high: float, at: Columns, *, sure: bool) -> None:
     """Draw a tie between two elevations."""
     dashes = "-" if sure else "--"
-    axes.plot([at.left, at.right], [low, high], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
+    axes.plot(at, [low, high], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
 
 
 # The identified frame with its numbers.
@@ -349,43 +343,37 @@ def _numbered_frames(
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(experiment.stories * 2 * style.LINE, 2.2, 8.0))
     drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
+    z, label = elevations(experiment)
+    at = left, right = 0.46, 0.57
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
-        _numbered(axes, experiment, found, title, height, sensors=sensors)
+        _structure(axes, found, z, at)
+        if sensors:
+            _sensors(axes, experiment, None, z, at)
+        _numbers(axes, found, z, at, float(z[-1]) * style.LINE / height)
+        axes.set_ylabel(label)
+        for x, text, std, align in (
+            (left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
+            (right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
+        ):
+            # A value at a bound has no standard deviation.
+            heading = text if not np.isfinite(std).any() else f"{text} ± std"
+            axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
+        if title:
+            axes.set_title(title, pad=20)
     return drawn
 
 
-def _numbered(
-    axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float, *, sensors: bool
-) -> None:
-    z, label = elevations(experiment)
-    at = _Columns(0.46, 0.57)
-    _structure(axes, found, z, at)
-    if sensors:
-        _sensors(axes, experiment, None, z, at)
-    _numbers(axes, found, z, at, float(z[-1]) * style.LINE / inches)
-    axes.set_ylabel(label)
-    for x, text, std, align in (
-        (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
-        (at.right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
-    ):
-        # A value at a bound has no standard deviation.
-        heading = text if not np.isfinite(std).any() else f"{text} ± std"
-        axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
-    if title:
-        axes.set_title(title, pad=20)
-
-
-def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: float) -> None:
+def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: Columns, gap: float) -> None:
     """Write stiffnesses left of the stories and masses right of the floors, without overlaps."""
     stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
     masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
-    top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2
+    (left, right), top, middle = at, float(z[-1]), z - np.diff(z, prepend=0.0) / 2
     for i, (level, shown) in enumerate(zip(middle, style.spread(middle, gap, 0.0, top), strict=True)):
-        _leader(axes, (at.left, level), (at.left - LABEL_DISTANCE + 0.01, shown))
-        axes.text(at.left - LABEL_DISTANCE, shown, f"story {i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
+        _leader(axes, (left, level), (left - LABEL_DISTANCE + 0.01, shown))
+        axes.text(left - LABEL_DISTANCE, shown, f"story {i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
     for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
-        _leader(axes, (at.right + 0.02, level), (at.right + LABEL_DISTANCE - 0.01, shown))
-        axes.text(at.right + LABEL_DISTANCE, shown, f"floor {i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
+        _leader(axes, (right + 0.02, level), (right + LABEL_DISTANCE - 0.01, shown))
+        axes.text(right + LABEL_DISTANCE, shown, f"floor {i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
 
 
 # Floors that turn, seen from above.
@@ -469,23 +457,38 @@ def _changed_sides(axes: Axes, outline: Floats, item: AddedEffect) -> None:
 
 def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:
     """Draw one panel a mode, the floors displaced by as much as a quarter of the plan."""
-    outline = _outline(plan, sensors)
+    outline, moved = displaced_plans(sensors, shapes, plan)
     drawn, panels = _plan_panels(len(shapes), outline)
-    stories = max(sensor.floor for sensor in sensors)
-    motions = np.linalg.pinv(Sensor.rows(sensors, stories)) @ shapes.T
-    shares = motion_shares(sensors, shapes)
-    x, y = outline.T
     for mode, axes in enumerate(panels):
-        moved = motions[:, mode].reshape(stories, 3)
-        by = np.stack([moved[:, :1] - np.outer(moved[:, 2], y), moved[:, 1:2] + np.outer(moved[:, 2], x)], axis=2)
-        by *= 0.25 * float(np.ptp(outline)) / float(np.abs(by).max())
-        for floor, displaced in enumerate([np.zeros_like(outline), *by]):
+        for floor, displaced in enumerate([np.zeros_like(outline), *moved[mode]]):
             corners = outline + displaced
-            colour, dark = (style.AFTER, floor / stories) if floor else (style.GREY, 1.0)
+            colour, dark = (style.AFTER, floor / len(moved[mode])) if floor else (style.GREY, 1.0)
             axes.plot(*np.vstack([corners, corners[:1]]).T, color=colour, alpha=dark, lw=1.0)
-        said = ", ".join(f"{name} {percent(share, 0)}" for name, share in zip(MOTIONS, shares[mode], strict=True))
-        axes.set_title(f"mode {mode + 1}: {frequencies[mode]:#.4g} Hz\n{said}", fontsize=7)
+        shares = shares_in_words(sensors, shapes[mode : mode + 1])
+        axes.set_title(f"mode {mode + 1}: {frequencies[mode]:#.4g} Hz\n{shares}", fontsize=7)
     return drawn
+
+
+def shares_in_words(sensors: Sequence[Sensor], shape: Floats) -> str:
+    """Write how much of a mode, shape (1, r), is displacement in x, in y, and rotation."""
+    shares = motion_shares(sensors, shape)[0]
+    return ", ".join(f"{name} {percent(share, 0)}" for name, share in zip(MOTIONS, shares, strict=True))
+
+
+def displaced_plans(sensors: Sequence[Sensor], shapes: Floats, plan: Floats | None) -> tuple[Floats, Floats]:
+    """Find the corners of the plan, and their displacements on each floor in each mode, a quarter of the plan at most.
+
+    Returns
+    -------
+    outline : ndarray, shape (4, 2), m
+    displaced : ndarray, shape (m, N, 4, 2), m
+    """
+    outline = _outline(plan, sensors)
+    rows = Sensor.rows(sensors, max(sensor.floor for sensor in sensors))
+    motions = (np.linalg.pinv(rows) @ shapes.T).T.reshape(len(shapes), -1, 1, 3)
+    x, y = outline.T
+    by = np.stack([motions[..., 0] - motions[..., 2] * y, motions[..., 1] + motions[..., 2] * x], axis=-1)
+    return outline, 0.25 * float(np.ptp(outline)) * by / np.abs(by).max(axis=(1, 2, 3), keepdims=True)
 
 
 def _outline(plan: Floats | None, sensors: Sequence[Sensor]) -> Floats:

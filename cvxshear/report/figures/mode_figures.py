@@ -283,8 +283,6 @@ def _numbers(axes: Axes, table: Floats) -> None:
             axes.text(column, row, f"{value:.{digits}f}", ha="center", va="center", color=colour, fontsize=6.5)
 
 
-#: Width of a vertical label, inch.
-LABEL_WIDTH = 0.14
 #: Height of the labels above the orders, as a fraction of the orders' height.
 BAND = 0.42
 #: End of the axis of frequencies, as a multiple of the highest natural frequency.
@@ -324,7 +322,7 @@ def stabilization(*results: ModalResult) -> Figure:
         If a result has no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
-    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
+    figure = style.new_figure(max(style.PAGE_WIDTH, style.LINE * most + 1.4), 3.4 * len(results) + 0.5)
     for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
         assert result.sweep is not None
         _poles(axes, result.sweep)
@@ -357,7 +355,7 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     """Write vertical labels of modes above the poles, without overlaps, each with a line to its pole."""
     frequencies: Floats = result.frequencies
     end = axes.get_xlim()[1]
-    gap = end * LABEL_WIDTH / inches
+    gap = end * style.LINE / inches
     for mode, frequency, x in zip(
         result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
     ):
