@@ -28,9 +28,16 @@ from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares, MatrixInequality, turning
-from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, exact_frame, statements
+from cvxshear.programs.constraints import (
+    LEAST_POSITIVE,
+    NamedConstraints,
+    constrained,
+    embedded,
+    exact_frame,
+    statements,
+)
 from cvxshear.util import decorators, ranking
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats
 
 #: Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
 #: smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6.
@@ -152,7 +159,7 @@ def domain_of(
     interval_std, scale = np.full(size, np.inf), np.abs(theta)
     lmi: tuple[MatrixInequality, ...] = ()
     if experiment.frame.turns:
-        floors = turning.floor_statements(experiment, frame)
+        floors = turning.floor_statements(experiment, frame, priors)
         parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
         units = experiment.units(typical_mass, typical_stiffness)
         if experiment.symmetric:
@@ -203,28 +210,6 @@ def _least(start: Floats, typical: float) -> float:
     """Return the least mass, or the least stiffness, that counts as positive."""
     least, smallest = LEAST_POSITIVE * typical, float(start.min())
     return PART_OF_START * smallest if smallest < 0.5 * least else least
-
-
-def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
-    """Write statements about some of the parameters as statements about all of them."""
-
-    def wide(rows: Floats | None) -> Floats | None:
-        if rows is None:
-            return None
-        full = np.zeros((len(rows), size))
-        full[:, at] = rows
-        return full
-
-    def padded(bound: Floats | None, fill: float) -> Floats | None:
-        if bound is None:
-            return None
-        full = np.full(size, fill)
-        full[at] = bound
-        return full
-
-    return Constraints(
-        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,19 +275,17 @@ class EffectPrior:
     def _frame(self, theta: Floats, units: Floats) -> Rows:
         """Compute the logarithms of masses and stiffnesses over their widths, those of stiffnesses about their mean.
 
-        Inertias count with the masses; of stories that turn, each entry has its own mean. The level of the stiffness
-        has no prior: a first fit of a shear frame to a frame with a wall is several times
-        too stiff, and a prior about its level would favor every effect that makes the stories appear stiffer.
+        Inertias count with the masses. The level of the stiffness has no prior: a first fit of a shear frame to a frame
+        with a wall is several times too stiff, and a prior about its level would favor every effect that makes the
+        stories appear stiffer.
         """
         assert self.scale is not None
-        n, motions = len(self.scale.heights), self.scale.motions
-        floors, entries = n * len(motions.mass_names), len(motions.stiffness_names)
-        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], [floors, n * entries])
+        floors = len(self.scale.heights) * len(self.scale.motions.mass_names)
+        width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], [floors, len(units) - floors])
         own = theta[: len(units)]
         r, slope = np.log(own / units) / width, np.diag(1.0 / (width * own))
-        for entry in range(floors, floors + entries):
-            r[entry::entries] -= np.mean(r[entry::entries])
-            slope[entry::entries] -= np.mean(slope[entry::entries], axis=0)
+        r[floors:] -= np.mean(r[floors:])
+        slope[floors:] -= np.mean(slope[floors:], axis=0)
         return r, np.hstack([slope, np.zeros((len(own), len(theta) - len(own)))])
 
 

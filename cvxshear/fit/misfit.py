@@ -294,11 +294,11 @@ class Misfit:
         if frame.total_mass_std is not None and frame.total_mass is not None:
             unit = 1.0 / (frame.total_mass_std * frame.total_mass)
             of_masses = np.zeros(len(theta))
-            of_masses[self.experiment.of_floors][:: len(self.experiment.motions.mass_names)] = unit
+            of_masses[self.experiment.of_masses] = unit
             residuals.append(np.array([of_masses @ theta - unit * frame.total_mass]))
             rows.append(of_masses[None])
         for prior in self.experiment.priors:
-            at = slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
+            at = self.experiment.of_masses if prior.quantity == "floor_mass" else self.experiment.of_stories
             r, J = prior.residual(theta[at])
             row = np.zeros((len(r), len(theta)))
             row[:, at] = J

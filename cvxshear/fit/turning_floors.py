@@ -153,6 +153,8 @@ def _active(solution: Solution) -> Floats:
     for each in solution.active:
         if each.constraint == "G" and program.G is not None:
             rows.append(program.G[each.index : each.index + 1])
+        if each.constraint in ("lower", "upper"):
+            rows.append(np.eye(program.unknowns)[each.index : each.index + 1])
         if each.constraint == "lmi":
             inequality = program.lmi[each.index]
             _, vectors = np.linalg.eigh(inequality.at(solution.x))

@@ -365,7 +365,7 @@ class LoopResult(Shown):
 
     json_keys = (
         "verdict rests_on backend provisional effects assumed numberings models averaged noise before after steps "
-        "candidates not_considered frame undetermined=estimate.uncertainty.null_directions "
+        "candidates not_considered frame undetermined=estimate.undetermined "
         "at_bounds=estimate.uncertainty.active predictions=estimate.predictions residual remains information "
         "next_test other_frames searched=others.searched fits programs warnings"
     )

@@ -126,9 +126,10 @@ class Experiment(Shown):
                     "direction of each entry of a shape, in place of measured_floors"
                 )
         if self.frame.turns:
-            for key, given in (("prior", self.priors), ("static", self.static)):
+            of_stories = [each for each in self.priors if each.quantity == "story_stiffness"]
+            for what, given in (("[[prior]] of story_stiffness", of_stories), ("[[static]]", self.static)):
                 if given:
-                    raise InputError(f"[[{key}]] is of frames with one motion per floor; this one turns (motions)")
+                    raise InputError(f"{what} is of frames with one motion per floor; this one turns (motions)")
 
     def _check_states(self) -> None:
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
@@ -285,6 +286,11 @@ class Experiment(Shown):
     def of_floors(self) -> slice:
         """Slice of theta with the parameters of the floors, the lowest floor first."""
         return slice(0, self.stories * len(self.motions.mass_names))
+
+    @decorators.cached_property
+    def of_masses(self) -> slice:
+        """Slice of theta with the floor masses, the lowest floor first."""
+        return slice(0, self.of_floors.stop, len(self.motions.mass_names))
 
     @decorators.cached_property
     def of_stories(self) -> slice:

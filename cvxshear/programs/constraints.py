@@ -12,7 +12,7 @@ from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.errors import InfeasibleError
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 #: Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
 #:
@@ -70,6 +70,28 @@ def statements(
         for prior in priors
         if prior.quantity == quantity
     ]
+
+
+def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
+    """Write statements about some of the parameters as statements about all of them."""
+
+    def wide(rows: Floats | None) -> Floats | None:
+        if rows is None:
+            return None
+        full = np.zeros((len(rows), size))
+        full[:, at] = rows
+        return full
+
+    def padded(bound: Floats | None, fill: float) -> Floats | None:
+        if bound is None:
+            return None
+        full = np.full(size, fill)
+        full[at] = bound
+        return full
+
+    return Constraints(
+        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
+    )
 
 
 def exact_frame(frame: Frame, *, total_released: bool = False) -> Frame:

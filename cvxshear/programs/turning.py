@@ -9,15 +9,16 @@ has the deviation of lambda_i and a term of second order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.measurement.experiment import MOTIONS, Configuration, Experiment, Frame
 from cvxshear.motions import THREE_MOTIONS, products, unit_derivatives
-from cvxshear.priors import Constraints
+from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.certificate import MatrixInequality
-from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, statements
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, embedded, statements
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util import quantities
 from cvxshear.util.decorators import cached_property
@@ -216,14 +217,18 @@ class TurningTest:
 
     def one_shot_masses(self) -> LeastSquares:
         """Write the masses of the floors that make the modes orthogonal; see `programs.one_shot_masses`."""
-        rows, soft = self.mass_rows(), plan_rows(self.experiment)
+        rows, priors, even = self.mass_rows(), self.experiment.priors, self.even_masses[::4]
+        known = [prior.residual(even) for prior in priors]
+        of_masses = np.concatenate([np.zeros((0, self.stories)), *(J for _, J in known)])
+        soft = np.concatenate([plan_rows(self.experiment), of_masses @ np.eye(4 * self.stories)[::4]])
+        sides = [np.zeros(len(soft) - len(of_masses)), *(J @ even - r for r, J in known)]
         program = LeastSquares(
-            np.concatenate([rows.R, soft]), np.concatenate([-rows.R @ self.added, np.zeros(len(soft))]),
+            np.concatenate([rows.R, soft]), np.concatenate([-rows.R @ self.added, *sides]),
             np.concatenate([rows.weights, np.ones(len(soft))]), names=self.names(THREE_MOTIONS.mass_names),
             title=f"one-shot masses, {self.configuration.name}",
             lmi=positive_floors(self.experiment, LEAST_POSITIVE * float(np.mean(self.even_masses[::4]))),
         )  # fmt: skip
-        declared = floor_statements(self.experiment, self.experiment.frame)
+        declared = floor_statements(self.experiment, self.experiment.frame, priors)
         return constrained(program, declared, np.zeros(program.unknowns))
 
     def story_stiffnesses(self, masses: Floats) -> LeastSquares:
@@ -290,15 +295,14 @@ def turning_tests(experiment: Experiment) -> list[TurningTest]:
     return tests
 
 
-def floor_statements(experiment: Experiment, frame: Frame) -> list[NamedConstraints]:
-    """List the exact statements about the parameters of the floors: declared masses, and mass centers in the plan."""
+def floor_statements(experiment: Experiment, frame: Frame, priors: Sequence[Prior]) -> list[NamedConstraints]:
+    """List the exact statements about the parameters of the floors: about masses, and mass centers in the plan."""
     n, q = experiment.stories, len(experiment.motions.mass_names)
     floors = np.eye(n * q).reshape(n, q, -1)
-    found = []
-    for each in statements((), "floor_mass", n, frame)[1:]:
-        known = each.constraints
-        assert known.A is not None
-        found.append(NamedConstraints(each.name, Constraints(A=known.A @ floors[:, 0], b=known.b)))
+    found = [
+        NamedConstraints(each.name, embedded(each.constraints, experiment.of_masses, n * q))
+        for each in statements(priors, "floor_mass", n, frame)[1:]
+    ]
     if frame.plan is not None and not experiment.symmetric:
         half = np.broadcast_to(frame.plan, (n, 2)).T[:, :, None] / 2.0
         G = np.concatenate([

@@ -70,7 +70,9 @@ def limits_section(result: LoopResult) -> blocks.Section:
             parts.append(blocks.Sentence(said, "warning"))
     if result.remains:
         parts += [blocks.Sentence("The residual sits in:", "warning"), blocks.Points("remains", result.remains)]
-    known = [f"Not determined: {identified.in_words(names)}" for names in result.estimate.uncertainty.null_directions]
+    # Of floors that turn, the table of the frame says it.
+    left = () if result.experiment.frame.turns else result.estimate.undetermined
+    known = [f"Not determined: {identified.in_words(names)}" for names in left]
     known += [quantities.capital(text) for text in identified.generous_noise(result.estimate.quality)]
     known += [quantities.capital(text) for text in result.information]
     if known:
@@ -233,12 +235,14 @@ def effects_table(result: LoopResult) -> blocks.Table:
     rows = []
     for item in result.effects:
         place, effect = item.placed.place, item.placed.effect.name.replace("_", " ")
-        where = effect, place.floor, place.story, place.test or place.state
+        where = effect, place.floor, place.story, place.part, place.test or place.state
         for name, unit in _parameters(result, item):
             rows.append((*where, name.replace("_", " "), unit, item.parameters[name], item.std[name]))
-    names = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
+    names = ("effect", "floor", "story", "part", "configuration", "parameter", "unit", "value", "std")
     values = zip(*rows, strict=True) if rows else [()] * len(names)
-    return blocks.Table("effects", "Effects", tuple(map(blocks.exact, names, values)))
+    # Floors that do not turn have no parts.
+    known = (pair for pair in zip(names, values, strict=True) if pair[0] != "part" or result.experiment.frame.turns)
+    return blocks.Table("effects", "Effects", tuple(blocks.exact(*pair) for pair in known))
 
 
 def candidates_section(result: LoopResult) -> blocks.Section:

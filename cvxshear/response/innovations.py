@@ -311,7 +311,7 @@ class PredictionErrors:
         # Directions that the record cannot distinguish keep a pivot of the size of rounding.
         np.fill_diagonal(products, (1.0 + len(products) * ROUNDING) * products.diagonal() + np.finfo(np.float64).tiny)
         whole = np.asarray(np.linalg.cholesky(products), dtype=np.float64).T
-        frame = np.count_nonzero(np.any(along.columns[self.frame] != 0, axis=0))
+        frame = int(np.count_nonzero(np.any(along.columns[self.frame] != 0, axis=0)))
         return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(parts, frame))
 
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:

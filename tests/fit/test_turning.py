@@ -204,3 +204,35 @@ def test_every_backend_solves_the_programs_of_a_frame_that_turns():
     assert not held["clarabel"]
     assert "matrix inequality" in held["quadprog"]
     assert all(row.difference < 1e-9 for row in comparison.rows if row.kind != "bounded mass")
+
+
+@pytest.mark.parametrize("method", ["one-shot", "efficient"])
+def test_priors_of_floor_masses_hold(method):
+    """An exact ratio holds to rounding and an active bound is named; exact modes do not notice what is true of them."""
+    frame = random_frame(3, 4)
+    mass = frame.floor_mass
+    exact, noisy = frame.experiment(9).to_dict(), frame.experiment(9, 0.01, 2, std=0.01).to_dict()
+    true = {"kind": "ratio", "quantity": "floor_mass", "of": 2, "to": 1, "value": mass[1] / mass[0]}
+    found = cvxshear.identify(exact | {"prior": [true]}, method=method).frame
+    np.testing.assert_allclose(found.floor_mass, mass, rtol=1e-7)
+    alike = {"kind": "ratio", "quantity": "floor_mass", "of": 3, "to": 2, "value": 1.3}
+    found = cvxshear.identify(noisy | {"prior": [alike]}, method=method).frame
+    assert found.floor_mass[2] / found.floor_mass[1] == pytest.approx(1.3, rel=1e-9)
+    heavy = {"kind": "bounds", "quantity": "floor_mass", "lower": [1.02 * mass[0], 0.0, 0.0]}
+    result = cvxshear.identify(noisy | {"prior": [heavy]}, method=method)
+    assert result.frame.floor_mass[0] == pytest.approx(1.02 * mass[0], rel=1e-6)
+    assert any("floor_mass" in each.name for each in result.parts[0].active)
+
+
+def test_a_soft_prior_of_masses_weighs_by_its_deviation():
+    """A nominal mass of tiny deviation is met; one of a huge deviation changes nothing."""
+    frame = random_frame(3, 4)
+    noisy = frame.experiment(9, 0.01, 2, std=0.01).to_dict()
+    nominal = 1.05 * frame.floor_mass
+    plain = cvxshear.identify(noisy).frame.floor_mass
+    for std, expected in ((1e-5, nominal / nominal.sum() * frame.floor_mass.sum()), (100.0, plain)):
+        prior = {
+            "kind": "nominal", "quantity": "floor_mass", "values": nominal.tolist(), "std": std, "free_scale": True
+        }  # fmt: skip
+        found = cvxshear.identify(noisy | {"prior": [prior]}).frame.floor_mass
+        np.testing.assert_allclose(found, expected, rtol=2e-4)

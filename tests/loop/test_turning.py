@@ -5,6 +5,7 @@ Frames and their modes come from columns and weights (tests/fe/plan_frames.py), 
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 import cvxshear
 from cvxshear.report.figures.style import applicable
@@ -116,3 +117,22 @@ def test_effects_of_other_floors_are_refused_by_name():
         cvxshear.close_loop(eccentric.tested(frame, 3), assume=["wall"])
     with pytest.raises(cvxshear.InputError, match="floors that turn"):
         cvxshear.close_loop("paper", assume=["eccentric_mass"])
+
+
+def test_motions_that_no_sensor_sees_keep_their_prior_odds():
+    """Sensors along x amid every floor of a symmetric frame: nothing tells of y and rotation."""
+    frame = random_frame(3, 5, symmetric=True)
+    sensors = [{"floor": floor, "position": [0.0, 0.0], "direction": 0.0} for floor in (1, 2, 3)]
+    rng = np.random.default_rng(1)
+    M, K = (matrix[::3, ::3] for matrix in frame.matrices)
+    values, vectors = linalg.eigh(K, M)
+    shapes = vectors.T / np.max(np.abs(vectors), axis=0)[:, None] + 0.01 * rng.standard_normal((3, 3))
+    test = {"frequencies": np.sqrt(values) / (2 * np.pi), "mode_shapes": shapes, "sensors": sensors}
+    test |= {"mode_shape_std": 0.01, "frequency_std": 0.002}
+    declared = {"motions": ["x", "y", "rotation"], "total_mass": float(frame.floor_mass.sum())}
+    result = cvxshear.close_loop({"frame": declared, "configuration": [test]})
+    assert not result.effects
+    assert result.frame.unseen == ("y", "rotation")
+    by_prior = [each for each in result.candidates if each.placed.effect.name.startswith("eccentric")]
+    assert all(0.5 * each.prior < each.probability <= 1.01 * each.prior for each in by_prior)
+    np.testing.assert_allclose(result.frame.floor_mass, frame.floor_mass, rtol=0.05)

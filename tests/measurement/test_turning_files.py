@@ -78,7 +78,7 @@ def test_a_sensor_reads_the_motion_of_its_place_along_its_direction():
         (("configuration", 0, "added_mass_position"), [[1.0, 2.0]], "must have 2 entries, one a floor"),
         (("configuration", 0, "added_mass"), None, "is given, but no added_mass"),
         (("configuration", 0, "modes"), [1, 7], "a frame of 2 stories has 6"),
-        (("prior",), [{"kind": "bounds", "quantity": "floor_mass", "lower": 1.0}], "one motion per floor"),
+        (("prior",), [{"kind": "bounds", "quantity": "story_stiffness", "lower": 1.0}], "one motion per floor"),
     ],
 )
 def test_bad_files_are_refused_by_key(place, value, said):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cvxshear.records import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.mode_figures import mode_shapes
+from cvxshear.report.html import render
 from cvxshear.util.errors import InputError
 from tests.fe.plan_frames import random_frame
 from tests.frames import EXAMPLES, chain
@@ -174,3 +176,32 @@ def test_a_page_of_an_identification(tmp_path):
         assert f'id="figure-{figure}"' in text
     with pytest.raises(InputError, match="floors that turn"):
         figures.plans(cvxshear.identify("paper"))
+
+
+def test_the_page_of_a_loop_moves_the_plans_of_its_floors():
+    """A corner at r from the reference moves by u + theta (-r_y, r_x), with u and theta from the sensors' readings."""
+    result = cvxshear.close_loop("examples/turning_floors.toml")
+    page = render(result, command="cvxshear loop examples/turning_floors.toml")
+    drawing = re.search(r'<figure id="figure-swaying">(.*?)</figure>', page, re.DOTALL)[1]
+    panels = re.findall(r"<title>mode (\d): (.*?) Hz; (.*?)</title>(.*?)</g></g>", drawing, re.DOTALL)
+    assert [int(number) for number, *_ in panels] == list(range(1, 10))
+    tested, found = result.experiment.configurations[0], result.estimate.predictions[0]
+    corners = np.array([[x, y] for x, y in ((-6.0, -4.5), (6.0, -4.5), (6.0, 4.5), (-6.0, 4.5))])
+    for place, (_, frequency, said, drawn) in enumerate(panels):
+        assert float(frequency) == pytest.approx(tested.frequencies[place], rel=1e-3)
+        assert "rotation" in said
+        rest, moved = (
+            np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), dtype=float).reshape(3, 4, 2)
+            for path in re.findall(r' d="(.*?)"', drawn)[:2]
+        )
+        shape = found.mode_shapes[found.modes[place] - 1]
+        expected = []
+        for floor in range(3):
+            # Readings along x and y at (6, 4.5), and along x at (-6, -4.5).
+            along, across, opposite = shape[3 * floor : 3 * floor + 3]
+            turn = (opposite - along) / 9.0
+            u = np.array([along + 4.5 * turn, across - 6.0 * turn])
+            expected.append(u + turn * np.column_stack([-corners[:, 1], corners[:, 0]]))
+        pixels = (moved - rest) * [1.0, -1.0]
+        scale = np.max(np.abs(pixels)) / np.max(np.abs(expected))
+        np.testing.assert_allclose(pixels, scale * np.array(expected), atol=0.2)

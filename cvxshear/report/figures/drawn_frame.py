@@ -457,23 +457,38 @@ def _changed_sides(axes: Axes, outline: Floats, item: AddedEffect) -> None:
 
 def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:
     """Draw one panel a mode, the floors displaced by as much as a quarter of the plan."""
-    outline = _outline(plan, sensors)
+    outline, moved = displaced_plans(sensors, shapes, plan)
     drawn, panels = _plan_panels(len(shapes), outline)
-    stories = max(sensor.floor for sensor in sensors)
-    motions = np.linalg.pinv(Sensor.rows(sensors, stories)) @ shapes.T
-    shares = motion_shares(sensors, shapes)
-    x, y = outline.T
     for mode, axes in enumerate(panels):
-        moved = motions[:, mode].reshape(stories, 3)
-        by = np.stack([moved[:, :1] - np.outer(moved[:, 2], y), moved[:, 1:2] + np.outer(moved[:, 2], x)], axis=2)
-        by *= 0.25 * float(np.ptp(outline)) / float(np.abs(by).max())
-        for floor, displaced in enumerate([np.zeros_like(outline), *by]):
+        for floor, displaced in enumerate([np.zeros_like(outline), *moved[mode]]):
             corners = outline + displaced
-            colour, dark = (style.AFTER, floor / stories) if floor else (style.GREY, 1.0)
+            colour, dark = (style.AFTER, floor / len(moved[mode])) if floor else (style.GREY, 1.0)
             axes.plot(*np.vstack([corners, corners[:1]]).T, color=colour, alpha=dark, lw=1.0)
-        said = ", ".join(f"{name} {percent(share, 0)}" for name, share in zip(MOTIONS, shares[mode], strict=True))
-        axes.set_title(f"mode {mode + 1}: {frequencies[mode]:#.4g} Hz\n{said}", fontsize=7)
+        shares = shares_in_words(sensors, shapes[mode : mode + 1])
+        axes.set_title(f"mode {mode + 1}: {frequencies[mode]:#.4g} Hz\n{shares}", fontsize=7)
     return drawn
+
+
+def shares_in_words(sensors: Sequence[Sensor], shape: Floats) -> str:
+    """Write how much of a mode, shape (1, r), is displacement in x, in y, and rotation."""
+    shares = motion_shares(sensors, shape)[0]
+    return ", ".join(f"{name} {percent(share, 0)}" for name, share in zip(MOTIONS, shares, strict=True))
+
+
+def displaced_plans(sensors: Sequence[Sensor], shapes: Floats, plan: Floats | None) -> tuple[Floats, Floats]:
+    """Find the corners of the plan, and their displacements on each floor in each mode, a quarter of the plan at most.
+
+    Returns
+    -------
+    outline : ndarray, shape (4, 2), m
+    displaced : ndarray, shape (m, N, 4, 2), m
+    """
+    outline = _outline(plan, sensors)
+    rows = Sensor.rows(sensors, max(sensor.floor for sensor in sensors))
+    motions = (np.linalg.pinv(rows) @ shapes.T).T.reshape(len(shapes), -1, 1, 3)
+    x, y = outline.T
+    by = np.stack([motions[..., 0] - motions[..., 2] * y, motions[..., 1] + motions[..., 2] * x], axis=-1)
+    return outline, 0.25 * float(np.ptp(outline)) * by / np.abs(by).max(axis=(1, 2, 3), keepdims=True)
 
 
 def _outline(plan: Floats | None, sensors: Sequence[Sensor]) -> Floats:

@@ -1,16 +1,17 @@
 """Draw predicted and measured responses: histories with a band, peaks over height, and the frame in motion."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import singledispatch
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.loop import LoopResult
+from cvxshear.measurement.configuration import Sensor
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import scaled_to_one
 from cvxshear.report.figures import drawn_frame, mode_figures, style
@@ -298,19 +299,23 @@ def animations(*results: Any) -> Iterator[Json]:
 @animations.register
 def _swaying(result: LoopResult) -> Iterator[Json]:
     """Move the modes of the final model, each as the first test that measured it shows it."""
-    if result.experiment.frame.turns:
+    caption, experiment = "The modes of the final model, with measured frequencies.", result.experiment
+    if experiment.frame.turns:
+        tested, found = experiment.configurations[0], result.estimate.predictions[0]
+        shapes = found.mode_shapes[found.modes - 1]
+        yield _moving_plans(tested.sensors, shapes, tested.modes, tested.frequencies, caption, experiment.frame.plan)
         return
-    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
-    yield _modes(
-        found, drawn_frame.elevations(result.experiment)[0], "The modes of the final model, with measured frequencies."
-    )
+    modes = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
+    yield _moving_frames(modes, drawn_frame.elevations(experiment)[0], caption)
 
 
 @animations.register
 def _swaying_records(*results: ModalResult) -> Iterator[Json]:
     """Move the measured modes, each as the first record that has it shows it."""
     first = results[0]
-    if any(each.sensors for each in results):
+    if first.sensors:
+        caption = "The measured modes, as far as the sensors tell the motions of the floors."
+        yield _moving_plans(first.sensors, first.mode_shapes, first.modes, first.frequencies, caption)
         return
     found = {
         mode: (frequency, shape)
@@ -318,26 +323,53 @@ def _swaying_records(*results: ModalResult) -> Iterator[Json]:
         for mode, frequency, shape in zip(each.modes.tolist(), each.frequencies, each.mode_shapes, strict=True)
         if np.array_equal(each.floors, first.floors)
     }
-    yield _modes(found, first.floors, "The measured modes at the floors with sensors.")
+    yield _moving_frames(found, first.floors, "The measured modes at the floors with sensors.")
 
 
-def _modes(found: dict[int, tuple[float, Floats]], levels: Floats | Ints, caption: str) -> Json:
-    """Draw modes in motion: the frequency and the shape of each by its number."""
+def _moving_frames(found: dict[int, tuple[float, Floats]], levels: Floats | Ints, caption: str) -> Json:
+    """Draw modes of frames by the frequency and the shape of each number."""
+    modes = {}
+    for mode, (frequency, given) in found.items():
+        shape = scaled_to_one(given)
+        said = f"sway from the lowest floor up: {', '.join(significants(shape.tolist()))}"
+        modes[mode] = (frequency, said, [_outline(sign * shape, levels) for sign in (1.0, -1.0, 0.0)])
+    return _modes(modes, caption)
+
+
+def _moving_plans(
+    sensors: Sequence[Sensor], shapes: Floats, modes: Ints, frequencies: Floats, caption: str,
+    plan: Floats | None = None,
+) -> Json:  # fmt: skip
+    """Draw modes of floors that turn, from above."""
+    outline, displaced = drawn_frame.displaced_plans(sensors, shapes, plan)
+    scale = 1.4 * SWAY / float(np.max(np.ptp(outline, axis=0))) * np.array([1.0, -1.0])
+
+    def path(by: Floats) -> str:
+        corners = (outline + by - outline.mean(axis=0)) * scale - [0.0, SWAY]
+        return "".join(f"M{'L'.join(f'{x:.1f} {y:.1f}' for x, y in floor)}z" for floor in corners)
+
+    found = {}
+    for place, (mode, frequency) in enumerate(zip(modes.tolist(), frequencies.tolist(), strict=True)):
+        said = drawn_frame.shares_in_words(sensors, shapes[place : place + 1])
+        found[mode] = (frequency, said, [path(sign * displaced[place]) for sign in (1.0, -1.0, 0.0)])
+    return _modes(found, caption)
+
+
+def _modes(found: dict[int, tuple[float, str, list[str]]], caption: str) -> Json:
+    """Draw modes in motion: frequency, words, and paths of an SVG at both ends and at rest, by the mode's number."""
     rows, columns = style.grid_of(len(found), style.MOST_PANELS)
     panels = []
-    for place, (mode, (frequency, given)) in enumerate(sorted(found.items())):
-        label, shape = f"mode {mode}: {frequency:#.4g} Hz", scaled_to_one(given)
-        sways = np.outer([1, -1, 1], shape)
-        said = f"{label}; sway from the lowest floor up: {', '.join(significants(shape.tolist()))}"
+    for place, (mode, (frequency, said, (one, other, rest))) in enumerate(sorted(found.items())):
+        label = f"mode {mode}: {frequency:#.4g} Hz"
         slow = 'calcMode="spline" keyTimes="0;.5;1" keySplines=".4 0 .6 1;.4 0 .6 1"'
-        drawn = _still(sways[0], levels, label) + _moving(sways, levels, 2.0, more=_words(label), how=slow)
-        panels.append(_panel(f"<title>{said}</title>{drawn}", place % columns, place // columns))
+        drawn = _still(one, rest, label) + _moving([one, other, one], rest, 2.0, more=_words(label), how=slow)
+        panels.append(_panel(f"<title>{label}; {escape(said)}</title>{drawn}", place % columns, place // columns))
     return {
         "name": "swaying",
         "title": "Mode shapes in motion",
         "section": "shapes",
         "caption": f"{caption} All sway at one speed and equally far.",
-        "alternative": "The mode shapes as a frame that sways; another figure shows the same shapes.",
+        "alternative": "The mode shapes in motion; another figure shows the same shapes.",
         "svg": _svg(panels, columns, rows),
         "moves": True,
     }
@@ -359,13 +391,14 @@ def _shaking(result: Reconstruction) -> Iterator[Json]:
     heights = run.response.heights
     levels = np.arange(1, len(largest) + 1) if heights is None else np.cumsum(heights)
     quarters = peak + np.round(np.arange(style.MOST_PANELS) * rate / first_mode / 4).astype(int)
+    rest = _outline(np.zeros(len(levels)), levels)
     stills = [
-        _panel(_still(sways[at], levels, f"{time[at]:.2f} s"), column, 0)
+        _panel(_still(_outline(sways[at], levels), rest, f"{time[at]:.2f} s"), column, 0)
         for column, at in enumerate(np.minimum(quarters, len(time) - 1))
     ]
     seconds = float(time[shown[-1]] - time[shown[0]]) * first_mode
     driven = _history(excitation, time[shown], seconds)
-    replayed = _panel(_moving(sways[shown], levels, seconds, more=driven), 0, 0)
+    replayed = _panel(_moving([_outline(sway, levels) for sway in sways[shown]], rest, seconds, more=driven), 0, 0)
     said = f"largest sway from floor 1 up: {', '.join(significants((1e3 * largest).tolist(), 3))} mm"
     word, unit = ("force", "N") if result.recording.input == "force" else ("base acceleration", "m/s²")
     strongest = significant(float(np.abs(excitation).max()), 3)
@@ -392,18 +425,15 @@ def _outline(sway: Floats, levels: Floats | Ints) -> str:
     return "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}h{SWAY:g}L{a + SWAY:.1f} {b:.1f}z" for a, b, c, d in corners)
 
 
-def _still(sway: Floats, levels: Floats | Ints, label: str) -> str:
-    """Draw a swayed frame before the frame at rest, for readers without motion."""
-    rest, swayed = _outline(np.zeros(len(sway)), levels), _outline(sway, levels)
+def _still(swayed: str, rest: str, label: str) -> str:
+    """Draw the path of a swayed frame before that of the frame at rest, for readers without motion."""
     return f'<g class="still"><path class="rest" d="{rest}"/><path d="{swayed}"/>{_words(label)}</g>'
 
 
-def _moving(sways: Floats, levels: Floats | Ints, seconds: float, *, more: str, how: str = "") -> str:
-    """Draw a frame that goes through these sways, shape (pictures, N), again and again."""
-    values = ";".join(_outline(sway, levels) for sway in sways)
+def _moving(paths: Sequence[str], rest: str, seconds: float, *, more: str, how: str = "") -> str:
+    """Draw a frame that goes through these paths again and again."""
     repeat = f'dur="{seconds:.2f}s" repeatCount="indefinite"'
-    moved = f'<path><animate attributeName="d" {repeat} {how} values="{values}"/></path>'
-    rest = _outline(np.zeros(len(levels)), levels)
+    moved = f'<path><animate attributeName="d" {repeat} {how} values="{";".join(paths)}"/></path>'
     return f'<g class="moving"><path class="rest" d="{rest}"/>{moved}{more}</g>'
 
 
