@@ -11,8 +11,7 @@ from cvxshear.records import diagnostics, estimate, picking, placement, pole_swe
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks
-from cvxshear.util.decorators import usual_arithmetic
+from cvxshear.util import checks, decorators
 from cvxshear.util.errors import InputError, NoSolutionError
 
 #: Kinds of findings that the whole band and the modes may both tell of a channel.
@@ -146,7 +145,7 @@ def _too_low(found: SourceAndSweep) -> bool:
     return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def identify_modes(
     record: Record,
     *,

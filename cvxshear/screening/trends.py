@@ -31,8 +31,7 @@ from cvxshear.loop.results import AddedEffect, LoopResult
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD, Configuration
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.screening.screen import refuse_mistakes
-from cvxshear.util import checks, errors, quantities, results
-from cvxshear.util.decorators import usual_arithmetic
+from cvxshear.util import checks, decorators, errors, quantities, results
 from cvxshear.util.typing import Floats, Json
 
 #: Smallest number of tests: between two tests, a step and a slope are the same.
@@ -225,7 +224,7 @@ class History(results.Shown):
         return {mode: values for mode, values in found.items() if np.isfinite(values).any()}
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def history(folder: str | Path | Sequence[str | Path], backend: str | backends.Backend = "auto") -> History:
     """Find how the stiffness of a frame changed over many tests: steps, slopes, temperature and amplitude.
 
