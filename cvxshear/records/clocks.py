@@ -22,7 +22,7 @@ from scipy import special
 
 from cvxshear.records.prepare import SEGMENT, in_step, struck, without
 from cvxshear.records.record import Finding, TimeRecord, finding
-from cvxshear.util import odds, quantities, ranking
+from cvxshear.util import quantities, ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -213,14 +213,14 @@ class ChannelRatios:
         priors = [1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags))]
         priors += [np.full(count, 1.0 / max(count, 1)) for count in (len(CORNERS), len(at))]
         logs = np.log(np.append(1.0 - 3 * FAULTY, FAULTY * np.concatenate(priors)))
-        slows = odds.weigh(likely, logs)[1 + len(lags) :]
+        slows = ranking.weigh(likely, logs)[1 + len(lags) :]
         first = ranking.first_largest(slows)
         # A clock that drifts leaves less of the highest frequencies, too, but agrees better with its own line.
         if slows.sum() >= quantities.SURE and (self.squares @ curves[:, first]).real.sum() > self._best_line[0]:
             evidence = float(likely[1 + len(lags) + first] - likely[0])
             kind = "low-pass" if first < len(CORNERS) else "resonance"
             return ChannelFault(kind, float(slows.sum()), evidence, rate * float(np.append(CORNERS, at)[first]))
-        chances = odds.weigh(likely[: 1 + len(lags)], logs[: 1 + len(lags)])
+        chances = ranking.weigh(likely[: 1 + len(lags)], logs[: 1 + len(lags)])
         best = ranking.first_largest(chances[1:])
         evidence = float(likely[1 + best] - likely[0])
         near = np.abs(lags - lags[best]) <= SHORTEST_DELAY / rate
@@ -239,7 +239,7 @@ class ChannelRatios:
         # Student's likelihood of as many segments as weigh; they overlap by half.
         count = 0.5 * whole**2 / max(float(weight @ weight), 1e-300)
         gains = -0.5 * count * np.log(np.maximum(1.0 - between / scatter, 1e-12))
-        chances = odds.weigh(
+        chances = ranking.weigh(
             np.append(0.0, gains), np.log(np.append(1.0 - FAULTY, np.full(len(gains), FAULTY / len(gains))))
         )
         split = ranking.first_largest(gains)
@@ -263,7 +263,7 @@ class ChannelRatios:
         early, late = (float(grid[ranking.first_largest(each[split])]) for each in (before, after))
         size = max(float(np.abs(self.squares).sum()), 1e-300)
         gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
-        chance = odds.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
+        chance = ranking.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
         jump, time = late - early, float(self.times[split : split + 2].mean())
         sure = float(chance) if abs(jump) >= SHORTEST_DELAY / self.segments.rate else 0.0
         return ChannelFault("lost samples", sure, gain, jump, time=time)
@@ -335,7 +335,7 @@ class ChannelRatios:
         # keeps its prior probability.
         gain = 0.5 * (freedom + 1) * np.log1p((slope / std) ** 2 / freedom)
         share = min(std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT), 1.0)
-        probability = float(odds.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY * share]))[1])
+        probability = float(ranking.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY * share]))[1])
         start = late - slope * float(np.average(self.times, weights=np.maximum(self.weights, 1e-300)))
         return ChannelFault("clock drift", probability, float(gain), slope, std, late=(start, slope))
 
@@ -599,7 +599,7 @@ def slow_sensor(omega: Floats, phasors: Complexes, rate: float) -> tuple[float, 
     line = rms_phase(phasors * np.exp(1j * omega * _slope(omega, phasors)))
     # Both have one parameter, and the scatter of the phases is unknown.
     likely = -(len(omega) - 1.0) * np.log(np.hypot([line, slow], LEAST_PHASE))
-    return float(corners[best]), float(odds.weigh(likely)[1])
+    return float(corners[best]), float(ranking.weigh(likely)[1])
 
 
 def _slope(omega: Floats, phasors: Complexes) -> float:

@@ -9,7 +9,7 @@ import scipy
 from cvxshear.records import clocks, estimate, examination, frf, picking
 from cvxshear.records.record import Finding, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
-from cvxshear.util import odds, quantities, ranking
+from cvxshear.util import quantities, ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -112,7 +112,7 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
             continue
         # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
         gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * clocks.LONGEST))
-        if odds.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
+        if ranking.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
             continue
         place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
         floors = [floor for floor in range(len(record.channels)) if floor != place]
@@ -265,7 +265,7 @@ def amplitude_findings(setting: estimate.Replication, result: ModalResult) -> It
     std = np.hypot(first_std, second_std)
     scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
     likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
-    if odds.weigh(likely.sum(axis=1))[1] < quantities.SURE:
+    if ranking.weigh(likely.sum(axis=1))[1] < quantities.SURE:
         return
     # Halves of a record differ by twice the scatter of the whole. What does not exceed that is left to the scatter.
     least = np.maximum(SIGNIFICANT * 2.0 * result.frequency_std, SMALLEST_CHANGE)

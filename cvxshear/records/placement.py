@@ -18,7 +18,7 @@ import numpy as np
 from cvxshear.records import prepare
 from cvxshear.records.clocks import FAULTY
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
-from cvxshear.util import odds, quantities, ranking
+from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
 #: Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
@@ -124,7 +124,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     ]
     of_numbers = np.log([1.0 if numbers == (1, 2) else FAULTY for numbers in FREQUENCY_RATIOS])
     log_priors = np.log([[before] for _, before in prior]) + of_numbers
-    probabilities = odds.weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
+    probabilities = ranking.weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
     found = [
         dataclasses.replace(item, probability=float(row.sum()), missed=float(row[1:].sum() / max(row.sum(), 1e-300)))
         for (item, _), row in zip(prior, probabilities, strict=True)
@@ -279,7 +279,7 @@ def with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
     off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
     likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
-    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, FAULTY]))[1] >= quantities.SURE)
+    turned = int(ranking.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, FAULTY]))[1] >= quantities.SURE)
     findings, changes = [], {}
     if turned:
         findings.append(finding("sign/input", {"channel": "input", "corrected": True}))

@@ -25,7 +25,7 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import DIFFERENCE, OTHER_DAMPING_STD, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.odds import weigh
+from cvxshear.util.ranking import weigh
 from cvxshear.util.typing import Floats
 
 #: Relative standard deviations of the gains of all sensors: laboratory and field calibrations, equally probable. A

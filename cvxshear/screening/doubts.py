@@ -18,7 +18,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import MeasuredModes, repeated_configurations
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
-from cvxshear.util import odds, quantities, results
+from cvxshear.util import quantities, ranking, results
 from cvxshear.util.typing import Json
 
 #: Range (m/s2) of the Earth's gravity: 9.78 to 9.83 between the equator and the poles, and often rounded.
@@ -258,7 +258,7 @@ def total_mass(experiment: Experiment) -> Iterator[FileFinding]:
     spread = np.hypot(std, np.where(np.arange(len(factors)) == 1, LARGEST_SLIP, TOTAL_STD))
     z = (np.log(declared / total) - factors) / spread
     wrong = np.log(nearest_frame.MISTAKEN)
-    probability = odds.weigh(-0.5 * z**2 - np.log(spread), np.where(np.arange(len(factors)) == 0, 0.0, wrong))
+    probability = ranking.weigh(-0.5 * z**2 - np.log(spread), np.where(np.arange(len(factors)) == 0, 0.0, wrong))
     if probability[0] > 1 - quantities.SURE:
         return
     likely = [unit for unit, p in zip(units, probability[2:], strict=True) if p > 1 - quantities.SURE]

@@ -3,7 +3,7 @@
 A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number. The nearest shear frame is
 fitted to the data as given and as changed. A change that can be made at K places has the prior odds q / K against the
 data as given, q the share of files with a mistake of its kind. The evidence of each fit makes them probabilities
-(`util/odds.py`). A mistake is named if the data as given are improbable, with all changes that are needed to make the
+(`util/ranking.py`). A mistake is named if the data as given are improbable, with all changes that are needed to make the
 mistake certain.
 """
 
@@ -29,7 +29,7 @@ from cvxshear.programs.turning import TurningTest
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.doubts import FileFinding, in_words
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
-from cvxshear.util import errors, odds, quantities, ranking
+from cvxshear.util import errors, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
 #: Factors between units of sensors: m and mm, m/s2 and g.
@@ -127,7 +127,7 @@ def named(given: float, tried: Sequence[AnyChange]) -> list[AnyChange]:
     if not tried:
         return []
     evidence = [given, *(each.log_evidence for each in tried)]
-    probability = odds.weigh(evidence, [0.0, *(each.log_prior for each in tried)])
+    probability = ranking.weigh(evidence, [0.0, *(each.log_prior for each in tried)])
     if probability[0] > 1 - quantities.SURE:
         return []
     order = ranking.order(probability[1:])

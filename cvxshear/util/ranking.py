@@ -1,7 +1,14 @@
-"""Sort and choose independently of rounding: numbers that differ only by rounding keep their order.
+"""Sort and choose independently of rounding, and weigh hypotheses.
 
 Kernels of different processors round differently. Two entries that are equal in exact arithmetic differ by some units
-in the last place, and a plain sort or argmax would follow these units.
+in the last place, and a plain sort or argmax would follow these units. Numbers that differ only by rounding keep their
+order here.
+
+Of hypotheses that exclude each other and of which one is true, hypothesis i has the probability (Bayes)
+
+    p_i = L_i q_i / sum over j of L_j q_j,
+
+L the likelihood of the data and q the prior probability. A conclusion is certain at `cvxshear.util.quantities.SURE`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -10,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cvxshear.util.typing import Ints
+from cvxshear.util.typing import Floats, Ints
 
 Item = TypeVar("Item")
 
@@ -78,6 +85,23 @@ def ranked(items: Iterable[Item], value: Callable[[Item], float], *, same: float
     """
     known: Sequence[Item] = list(items)
     return [known[at] for at in order([value(each) for each in known], same=same)]
+
+
+def weigh(log_likelihoods: ArrayLike, log_priors: ArrayLike = 0.0) -> Floats:
+    """Return the probability of each hypothesis; they add up to 1 along the last axis.
+
+    Parameters
+    ----------
+    log_likelihoods, log_priors : array_like, shape (..., n)
+        Each up to a constant. A hypothesis of log likelihood -inf is impossible; one at least must be possible.
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+    """
+    scores = np.asarray(log_likelihoods, dtype=np.float64) + np.asarray(log_priors, dtype=np.float64)
+    weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
+    return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
 
 def _equal(larger: float, smaller: float, same: float | None) -> bool:

@@ -34,3 +34,12 @@ def test_infinite_values_are_equal_and_nan_comes_last():
 def test_log_odds_have_an_absolute_margin():
     assert ranking.ranked("ab", {"a": -300.00005, "b": -300.0}.__getitem__, same=ranking.SAME_ODDS) == ["a", "b"]
     assert ranking.ranked("ab", {"a": -300.0005, "b": -300.0}.__getitem__, same=ranking.SAME_ODDS) == ["b", "a"]
+
+
+def test_probabilities_are_likelihood_times_prior_over_their_sum():
+    likelihood, prior = np.array([0.2, 0.5, 0.0]), np.array([0.9, 0.05, 0.05])
+    with np.errstate(divide="ignore"):
+        found = ranking.weigh(np.log(likelihood) - 2000.0, np.log(prior))
+    np.testing.assert_allclose(found, likelihood * prior / (likelihood @ prior), rtol=1e-12)
+    many = ranking.weigh(np.log(np.array([[1.0, 3.0], [1.0, 1.0]])))
+    np.testing.assert_allclose(many, [[0.25, 0.75], [0.5, 0.5]])
