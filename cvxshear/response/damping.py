@@ -33,34 +33,23 @@ ASSUMED_STD = 0.5
 HIGH = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class DampedPoles:
-    """Poles of a damped frame, one of each conjugate pair: (s^2 M + s C + K) psi = 0.
-
-    Parameters
-    ----------
-    values : ndarray of complex, shape (p,)
-        s, rad/s; ascending in size. Overdamped modes have two real poles each.
-    shapes : ndarray of complex, shape (N, p)
-        psi, one column per pole.
-    scales : ndarray of complex, shape (p,)
-        a = psi' (2 s M + C) psi.
-    """
-
-    values: Complexes
-    shapes: Complexes
-    scales: Complexes
-
-
 def modal_damping(real: Modes, C: Floats) -> Floats:
     """Compute Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega if the modes are uncoupled."""
     return real.shapes @ C @ real.shapes.T
 
 
-def coupled(real: Modes, gamma: Floats) -> DampedPoles:
-    """Compute the poles of modes that damping couples.
+def coupled(real: Modes, gamma: Floats) -> tuple[Complexes, Complexes, Complexes]:
+    """Compute the poles of modes that damping couples, one of each conjugate pair: (s^2 M + s C + K) psi = 0.
 
     The state is (omega q, q') of the modal coordinates q. Its undamped part is skew and evenly scaled.
+
+    Returns
+    -------
+    s : ndarray of complex, shape (p,)
+        rad/s; ascending in size. Overdamped modes have two real poles each.
+    psi : ndarray of complex, shape (N, p)
+    a : ndarray of complex, shape (p,)
+        a = psi' (2 s M + C) psi.
     """
     n = len(gamma)
     omega = np.sqrt(real.eigenvalues)
@@ -75,7 +64,7 @@ def coupled(real: Modes, gamma: Floats) -> DampedPoles:
     s: Complexes = np.asarray(values[kept], dtype=np.complex128)
     q = states[:n, kept] / omega[:, None]
     scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
-    return DampedPoles(s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales)
+    return s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +102,7 @@ class DampedModel:
     def ratios(self) -> Floats:
         """Damping ratio of each mode, shape (N,): -Re s / |s| of its pole, or from Phi' C Phi if one is overdamped."""
         gamma = modal_damping(self.modes, self.C)
-        s = coupled(self.modes, gamma).values
+        s, _, _ = coupled(self.modes, gamma)
         if len(s) == len(self.M) and np.all(s.imag > 0):
             return -s.real / np.abs(s)
         ratios: Floats = np.diag(gamma) / (2 * np.sqrt(self.modes.eigenvalues))
@@ -197,9 +186,6 @@ LOOSE = 10.0
 #: Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation.
 LEAST_RATIO = 1e-3
 
-#: Largest change of a ratio, in its standard deviation, at convergence.
-SETTLED_DASHPOTS = 1e-5
-
 
 @dataclass(frozen=True, eq=False)
 class Dashpots:
@@ -250,7 +236,7 @@ def story_dashpots(real: Modes, stiffness: Floats, ratios: Ratios, backend: Back
     # The first solution uses the real modes, for any distance; the following steps improve the ratios.
     c = backend.solve(constraints.constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
-    found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS), fit.residuals(c))
+    found = gauss_newton(fit, c, domain, backend, Accuracy(), fit.residuals(c))
     if not found.converged:
         raise NoSolutionError(backend.name, "the story dashpots did not settle; use modal damping in their place")
     return fit.found(found.theta, fit.program(found.theta))
@@ -330,16 +316,16 @@ def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
         drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
         return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(real.eigenvalues[seen]))).T
     gamma = modal_damping(real, stiffness_matrix(c))
-    found = coupled(real, gamma)
-    swinging = np.flatnonzero(found.values.imag > 0)
+    values, shapes, scales = coupled(real, gamma)
+    swinging = np.flatnonzero(values.imag > 0)
     if seen[-1] >= len(swinging):
         raise UnsuitableError(
             "with story dashpots that give the measured damping ratios one of those modes would not swing any more; "
             "use modal damping in their place"
         )
     own = swinging[seen]
-    s, a = found.values[own], found.scales[own]
-    drifts = np.diff(found.shapes[:, own], axis=0, prepend=0.0)
+    s, a = values[own], scales[own]
+    drifts = np.diff(shapes[:, own], axis=0, prepend=0.0)
     ds = -(s * drifts**2 / a).T
     size = np.abs(s)[:, None]
     toward = np.real(np.conj(s)[:, None] * ds)

@@ -203,24 +203,13 @@ class ReconstructedRun:
     excitation: Floats
 
 
+#: Frames on both sides along a direction of the frame's uncertainty, and the ratio of a standard deviation to their
+#: distance: 1 if the frame has modes at this distance.
 Sides = tuple[DampedModel, DampedModel, float]
 
-
-@dataclass(frozen=True, eq=False)
-class FrameDirections:
-    """Directions of the frame's uncertainty.
-
-    Parameters
-    ----------
-    sides : tuple of (DampedModel, DampedModel, float)
-        Frames on both sides along each direction, and the ratio of a standard deviation to their distance: 1 if the
-        frame has modes at this distance.
-    allowance : ndarray, shape (outputs,)
-        Ratio of each output's variance along all directions to the variance along these directions.
-    """
-
-    sides: tuple[Sides, ...]
-    allowance: Floats
+#: Sides along the directions that change the motion most, and the ratio of each output's variance along all directions
+#: to the variance along these, shape (outputs,).
+Directions = tuple[tuple[Sides, ...], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,7 +251,7 @@ class FrameMotion:
 
         With `detrend`, straight lines beside the motion of the fitted frame are removed from the record.
         Spikes are filled in as well. One more fit is enough: an error of a gap decreases by its share of the
-        information, and longer gaps are not filled in.
+        information, and longer gaps are not filled in. A sure delay of a sensor is removed and the fit repeated.
         """
         errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -276,12 +265,16 @@ class FrameMotion:
             shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
             work = dataclasses.replace(self, recording=without_lines(self.recording, shown))
             smoothed = work.smoothed(errors, fitted.p)
-        p = fitted.p.copy()
-        if np.any(fitted.delays[0]):
-            work = dataclasses.replace(work, recording=_on_time(work.recording, *fitted.delays))
-            p[errors.delays] = 0.0
-            smoothed = work.smoothed(errors, p)
-        if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
+        recording, late, known = work.recording, *np.zeros((2, len(self.recording.floors)))
+        for again in range(frame_fit.MOST_REFITS):
+            (more, std), p = fitted.delays, fitted.p.copy()
+            if not np.any(more) and (again or all(np.all(each.weights == 1.0) for each in smoothed)):
+                break
+            if np.any(more):
+                late, known = late + more, np.where(more, std, known)
+                work = dataclasses.replace(work, recording=_on_time(recording, late, known))
+                p[errors.delays] = 0.0
+                smoothed = work.smoothed(errors, p)
             errors = work.errors(smoothed)
             fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
@@ -325,8 +318,7 @@ class FrameMotion:
         for run, found in zip(self.recording.runs, smoothed, strict=True):
             std = found.output_std
             np.square(std, out=std)
-            for sides in directions.sides:
-                std += directions.allowance * self.moved_by(sides, noise, run, found) ** 2
+            std += self.frame_variance(directions, noise, run, found)
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
@@ -342,6 +334,13 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
+    def frame_variance(
+        self, directions: Directions, noise: state_space.Noise, run: DrivenRun, found: Smoothed
+    ) -> Floats:
+        """Compute the variance of all outputs by the frame's uncertainty, shape (samples, outputs)."""
+        sides, allowance = directions
+        return np.asarray(allowance * sum(self.moved_by(each, noise, run, found) ** 2 for each in sides))
+
     def moved_by(self, sides: Sides, noise: state_space.Noise, run: DrivenRun, found: Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
         systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
@@ -349,7 +348,7 @@ class FrameMotion:
         there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
-    def directions(self, fitted: frame_fit.FittedFrame) -> FrameDirections:
+    def directions(self, fitted: frame_fit.FittedFrame) -> Directions:
         """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         own = covariance_root(fitted.covariance[frame, frame])
@@ -383,7 +382,7 @@ class FrameMotion:
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
         pairs = (with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
-        return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
+        return sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300)
 
 
 def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
@@ -392,7 +391,7 @@ def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
         f"the clock of the sensor of floor {floor} is {abs(own):.3g} ms {'late' if own > 0 else 'early'} "
         f"(std {off:.2g} ms): the record contradicts the frame and its other sensors otherwise; taken out"
         for floor, own, off in zip(record.floors, 1e3 * record.step * late, 1e3 * record.step * std, strict=True)
-        if own
+        if abs(own) > NORMAL_95 * off
     ]
     moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
     return dataclasses.replace(moved, remarks=(*record.remarks, *said))
@@ -461,10 +460,8 @@ def checked(
     left, stated, measured, alone = [], [], [], []
     found = other.smoothed(errors, again.p, row[None, :])
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
-        variance = each.output_std[:, 0] ** 2 + sigma**2
-        for sides in directions.sides:
-            moved = other.moved_by(sides, noise, run, each)[:, place]
-            variance += directions.allowance[place] * (gain * moved) ** 2
+        of_frame = other.frame_variance(directions, noise, run, each)[:, place]
+        variance = each.output_std[:, 0] ** 2 + sigma**2 + gain**2 * of_frame
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]
         left.append((each.states @ row + direct * run.excitation - seen)[there])

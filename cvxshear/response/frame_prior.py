@@ -67,41 +67,33 @@ LEAST_WEIGHT = 1e-3
 MOST_CHANGES = 3
 
 
-@dataclass(frozen=True, eq=False)
-class ModalRows:
-    """Measured modes as linear data of a frame with errors of form, linearized at the identified frame.
+def modal_rows(frame: UncertainFrame, varied: VariedFrame) -> tuple[Floats, Floats]:
+    """Write the measured modes as linear data of a frame with errors of form, linearized at the identified frame.
 
-    Parameters
-    ----------
+    Returns
+    -------
     J : ndarray, shape (d, N + W + X)
         Derivatives of frequencies and shape entries, in standard deviations, by the logarithms of the story
         stiffnesses in the tests, by masses and effects, and by e_ij.
     data : ndarray, shape (d,)
         Measured values minus the model's.
     """
+    N, D, W, X = varied.sizes
+    configurations = frame.fitted.experiment.configurations
+    tests = [each for each in configurations if each.state == frame.configuration.state]
 
-    J: Floats
-    data: Floats
+    def described(z: Floats) -> Floats:
+        model = varied.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
+        parts = [_standardized(each, model, each.added_mass - frame.configuration.added_mass) for each in tests]
+        return np.concatenate([np.zeros(0), *parts])
 
-    @staticmethod
-    def around(frame: UncertainFrame, varied: VariedFrame) -> ModalRows:
-        """Linearize all tests of the frame's state."""
-        N, D, W, X = varied.sizes
-        configurations = frame.fitted.experiment.configurations
-        tests = [each for each in configurations if each.state == frame.configuration.state]
-
-        def described(z: Floats) -> Floats:
-            model = varied.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
-            parts = [_standardized(each, model, each.added_mass - frame.configuration.added_mass) for each in tests]
-            return np.concatenate([np.zeros(0), *parts])
-
-        centre = described(np.zeros(N + W + X))
-        if not len(centre) or not frame.uncertain:
-            return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
-        J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
-        # The sensors of the tests had other gains.
-        J[:, N + W - varied.gains : N + W] = 0.0
-        return ModalRows(-J, centre)
+    centre = described(np.zeros(N + W + X))
+    if not len(centre) or not frame.uncertain:
+        return np.zeros((0, N + W + X)), np.zeros(0)
+    J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
+    # The sensors of the tests had other gains.
+    J[:, N + W - varied.gains : N + W] = 0.0
+    return -J, centre
 
 
 def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Floats:
@@ -162,7 +154,8 @@ class FramePrior:
         Number of noise levels and of delays; the delays are last, one for each floor's sensor.
     identified : ndarray, shape (N, N)
         Covariance of the identified log story stiffnesses, given masses and effects.
-    measured : ModalRows
+    measured : tuple of ndarray
+        Results of `modal_rows`.
     changes : tuple of FrameChange
         Possible changes.
     """
@@ -170,7 +163,7 @@ class FramePrior:
     varied: VariedFrame
     others: int
     identified: Floats
-    measured: ModalRows
+    measured: tuple[Floats, Floats]
     changes: tuple[FrameChange, ...]
 
     @staticmethod
@@ -201,7 +194,7 @@ class FramePrior:
             heavier[: -others or None] = MASS_STD * varied.heavier_floors
             odds = float(np.log(UNDECLARED_PROBABILITY / (1.0 - UNDECLARED_PROBABILITY)))
             changes.append(FrameChange("masses", 0, heavier, odds))
-        rows = ModalRows.around(frame, varied)
+        rows = modal_rows(frame, varied)
         return FramePrior(varied, others, frame.conditional_stiffness(), rows, tuple(changes))
 
     @property
@@ -247,7 +240,7 @@ class FramePrior:
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified
         crossed[N + D : N + D + W + X, N:] = rest
-        J, data = self.measured.J, self.measured.data
+        J, data = self.measured
         seen = J @ tested @ J.T + np.eye(len(data))
         gain = np.linalg.solve(seen, J @ crossed.T).T
         _, log_det = np.linalg.slogdet(seen)

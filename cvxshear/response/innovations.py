@@ -196,6 +196,11 @@ class Directions:
     rows: Floats
 
 
+#: Derivatives of residuals, shape (d, r), the residuals, (d,), and their number per sample; 0 for residuals other than
+#: innovations.
+_Rows = tuple[Floats, Floats, int]
+
+
 class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
@@ -335,13 +340,13 @@ class PredictionErrors:
         """
         samples = max(1, round(self.varied.period / self.setting.step))
         spread, curvature = np.zeros(rows), np.zeros(rows)
-        for part in parts:
-            length = part.sensors * samples
-            blocks = len(part.r) // length if length else 0
+        for J, r, sensors in parts:
+            length = sensors * samples
+            blocks = len(r) // length if length else 0
             if blocks < 2:
                 continue
-            flat = part.J[: blocks * length, :rows]
-            summed = (part.r[: len(flat)].reshape(blocks, 1, length) @ flat.reshape(blocks, length, rows))[:, 0]
+            flat = J[: blocks * length, :rows]
+            summed = (r[: len(flat)].reshape(blocks, 1, length) @ flat.reshape(blocks, length, rows))[:, 0]
             # At the most probable frame the scores balance the prior; their sum need not be zero.
             summed = summed - summed.mean(axis=0)
             spread += np.sum(summed**2, axis=0) * (blocks / (blocks - 1))
@@ -352,23 +357,8 @@ class PredictionErrors:
 
 def _products(parts: Sequence[_Rows]) -> Floats:
     """Compute the products of all derivatives and residuals, summed over all rows, shape (r + 1, r + 1)."""
-    rows = (np.column_stack([part.J, part.r]) for part in parts)
+    rows = (np.column_stack([J, r]) for J, r, _ in parts)
     return np.asarray(sum(each.T @ each for each in rows))
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Residuals, shape (d,), and their derivatives, shape (d, r).
-
-    Parameters
-    ----------
-    sensors : int
-        Number of residuals per sample; 0 for residuals other than innovations.
-    """
-
-    J: Floats
-    r: Floats
-    sensors: int
 
 
 def _projected(free: Floats, values: Floats) -> Floats:
@@ -393,14 +383,14 @@ def _rows_of(here: Filter, runs: Sequence[tuple[Segment, Floats]], rates: dict[s
         J = (_moved(here, rates, dK, run, x) @ whitening.T).swapaxes(1, 2).reshape(len(white), -1)
         dz = _projected(free, J)
         starts.append((dz, z))
-        parts.append(_Rows(J - free @ dz, white, m))
+        parts.append((J - free @ dz, white, m))
         mean += white.reshape(-1, m).T @ white.reshape(-1, m)
     root = np.sqrt(samples / 2)
     # For these rows, J'r is half the gradient of T log det S + sum e' S^-1 e with respect to S.
     r = [root * (np.eye(m) - mean / samples).ravel(), *(z for _, z in starts)]
     scatter = whitening @ dS @ whitening.T
     R = [scatter.reshape(len(dS), -1).T * root, *(dz for dz, _ in starts)]
-    return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
+    return [*parts, (np.concatenate(R), np.concatenate(r), 0)]
 
 
 def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: Floats) -> Floats:

@@ -43,9 +43,9 @@ BLOCK_PERIODS = 4.0
 #: deviations, doubled because a line is largest at its ends.
 BY_CHANCE = 4.0
 
-#: Least delay that is removed, in samples. The phases of the modes show shorter ones, but a damper in one story turns
-#: them too, by up to a sample in frames with 3 % of damping from it. The fit of the frame weighs both together.
-LEAST_DELAY = 1.0
+#: Least delay that is removed, in samples. A damper in one story turns the phases of the modes, too, by up to a sample
+#: in frames with 3 % of damping from it. The fit of the frame weighs shorter delays together with dampers.
+LEAST_DELAY = 2.0
 
 
 def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:

@@ -8,6 +8,7 @@ import pytest
 from cvxshear.effects import LocatedEffect, Parameter, Place, Scale, catalogue, compose, named, open_classes, register
 from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
+from cvxshear.priors import Nominal, Ratio
 from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, Cable, composed, experiment, modes_with, placed, theta
 from tests.effects.test_derivatives import CASES
@@ -485,6 +486,14 @@ def test_an_entry_of_an_open_class_equals_a_cause_of_the_catalogue():
                 np.testing.assert_allclose(one.system.M, other.system.M)
                 np.testing.assert_allclose(one.system.K, other.system.K)
                 np.testing.assert_allclose(one.gain, other.gain)
+
+
+def test_a_wrong_statement_has_an_error_for_each_of_its_rows():
+    ratio, design = Ratio("floor_mass", of=2, to=1, value=0.9, std=0.1), Nominal("floor_mass", THREE[0], std=0.1)
+    of = three_stories(configuration(*THREE)).with_priors([ratio, design])
+    wrong = one("wrong_prior")
+    names = [[each.name for each in wrong.bound_at(of, place).parameters] for place in wrong.places(of)]
+    assert names == [["e"], ["e1", "e2", "e3"]]
 
 
 def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():

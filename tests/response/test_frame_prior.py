@@ -21,7 +21,7 @@ from cvxshear.response.frame_prior import (
     Gaussian,
     Likelihood,
     Linear,
-    ModalRows,
+    modal_rows,
     possible_answers,
 )
 from cvxshear.response.innovations import Filter
@@ -240,12 +240,12 @@ def uncertain():
 def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
     """For each unknown, an eigenvalue problem gives the change of frequencies and shapes."""
     frame = VariedFrame.around(uncertain)
-    rows = ModalRows.around(uncertain, frame)
+    J, data = modal_rows(uncertain, frame)
     N, D, W, X = frame.sizes
     assert (N, W > 0, X) == (3, True, 6)
-    assert rows.J.shape == (len(rows.data), N + W + X)
+    assert J.shape == (len(data), N + W + X)
     # The residuals of the fit have the size of the declared errors.
-    assert 0.01 < float(np.mean(rows.data**2)) < 3.0
+    assert 0.01 < float(np.mean(data**2)) < 3.0
     measured = uncertain.configuration
     for place, step in ((0, 1e-4), (2, 1e-4), (N, 1e-2), (N + W, 1e-4), (N + W + X - 1, 1e-4)):
         z = np.zeros(N + W + X)
@@ -253,7 +253,7 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
         model = frame.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
         frequencies = np.sqrt(linalg.eigvalsh(model.K, model.M)) / (2 * np.pi)
         left = np.log(measured.frequencies / frequencies) / 0.002
-        np.testing.assert_allclose(rows.data[:3] - rows.J[:3, place] * step, left, atol=2e-3)
+        np.testing.assert_allclose(data[:3] - J[:3, place] * step, left, atol=2e-3)
 
 
 def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncertain):
@@ -268,7 +268,8 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     modal = np.isfinite(frame.nuisance_share)
     nuisances[modal] = np.sqrt(1.0 + (form_std / frame.nuisance_share[modal]) ** 2 / modal.sum())
     tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
-    seen = prior.measured.J @ tests
+    J, data = prior.measured
+    seen = J @ tests
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
     in_tests = np.zeros((size + 6, len(tests)))
     in_tests[:N, :N], in_tests[N + D : size, N:] = root, tests[N:, N:]
@@ -283,10 +284,8 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     own[size - X - 3, size - X - 3] += 0.05**2
     found = prior.gaussian(changed, form_std)
     np.testing.assert_allclose(found.covariance, in_tests @ posterior @ in_tests.T + own, atol=1e-9)
-    np.testing.assert_allclose(found.mean, in_tests @ posterior @ seen.T @ prior.measured.data, atol=1e-9)
-    density = stats.multivariate_normal.logpdf(
-        prior.measured.data, np.zeros(len(seen)), np.eye(len(seen)) + seen @ seen.T
-    )
+    np.testing.assert_allclose(found.mean, in_tests @ posterior @ seen.T @ data, atol=1e-9)
+    density = stats.multivariate_normal.logpdf(data, np.zeros(len(seen)), np.eye(len(seen)) + seen @ seen.T)
     assert found.evidence == pytest.approx(density + 0.5 * len(seen) * np.log(2 * np.pi), rel=1e-9)
 
 
