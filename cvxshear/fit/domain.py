@@ -28,14 +28,7 @@ from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares, MatrixInequality, turning
-from cvxshear.programs.constraints import (
-    LEAST_POSITIVE,
-    NamedConstraints,
-    constrained,
-    embedded,
-    exact_frame,
-    statements,
-)
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, exact_frame, statements
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Bools, Floats
 
@@ -126,7 +119,7 @@ def spread(
 ) -> list[NamedConstraints]:
     """Write statements about masses and about stiffnesses as statements about all parameters."""
     return [
-        NamedConstraints(part.name, embedded(part.constraints, at, size))
+        part.widened(at, size)
         for parts, at in ((on_mass, slice(0, n)), (on_stiffness, slice(n, 2 * n)))
         for part in parts
     ]
@@ -160,11 +153,11 @@ def domain_of(
     lmi: tuple[MatrixInequality, ...] = ()
     if experiment.frame.turns:
         floors = turning.floor_statements(experiment, frame, priors)
-        parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
+        parts = [each.widened(experiment.of_floors, size) for each in floors]
         units = experiment.units(typical_mass, typical_stiffness)
         if experiment.symmetric:
             least = Constraints(lower=np.minimum(LEAST_POSITIVE * units, PART_OF_START * theta[:frame_size]))
-            parts.append(NamedConstraints("what is positive", embedded(least, slice(0, frame_size), size)))
+            parts.append(NamedConstraints("what is positive", least).widened(slice(0, frame_size), size))
         else:
             lmi = (
                 *(
@@ -189,7 +182,7 @@ def domain_of(
         parameters = placed.effect.parameters
         if placed.fixed:
             exact = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
-            parts.append(NamedConstraints(f"{placed.label} as assumed", embedded(exact, own, size)))
+            parts.append(NamedConstraints(f"{placed.label} as assumed", exact).widened(own, size))
             continue
         bounds = Constraints(
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])
@@ -197,10 +190,10 @@ def domain_of(
         interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
         expected = placed.effect.expected_sizes(typical)
         scale[own] = np.maximum(np.abs(theta[own]), np.where(np.isfinite(expected), expected, 0.0))
-        parts.append(NamedConstraints(f"bounds of {placed.label}", embedded(bounds, own, size)))
+        parts.append(NamedConstraints(f"bounds of {placed.label}", bounds).widened(own, size))
         limits = placed.effect.limits(experiment, placed.place)
         columns = np.concatenate([np.arange(frame_size), np.arange(own.start, own.stop)])
-        parts.append(NamedConstraints(f"what {placed.label} can be", embedded(limits, columns, size)))
+        parts.append(NamedConstraints(f"what {placed.label} can be", limits).widened(columns, size))
     scale = np.where(scale == 0, 1.0, scale)
     farthest = np.where(np.arange(size) < frame_size, FARTHEST * scale, np.inf)
     return Domain(parts, scale, interval_std, farthest, lmi, held)

@@ -1,5 +1,7 @@
 """Convert exact and soft prior knowledge of a quantity to constraints and rows of a program."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,6 +43,22 @@ class NamedConstraints:
     name: str
     constraints: Constraints
 
+    def widened(self, at: slice | Ints, size: int) -> NamedConstraints:
+        """Write statements about some of the parameters, those at `at`, as statements about all of them."""
+
+        def wide(values: Floats | None, fill: float) -> Floats | None:
+            if values is None:
+                return None
+            full = np.full((*values.shape[:-1], size), fill)
+            full[..., at] = values
+            return full
+
+        said = self.constraints
+        lower, upper = wide(said.lower, -np.inf), wide(said.upper, np.inf)
+        return NamedConstraints(
+            self.name, Constraints(lower, upper, wide(said.G, 0.0), said.h, wide(said.A, 0.0), said.b)
+        )
+
 
 def statements(
     priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
@@ -70,28 +88,6 @@ def statements(
         for prior in priors
         if prior.quantity == quantity
     ]
-
-
-def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
-    """Write statements about some of the parameters as statements about all of them."""
-
-    def wide(rows: Floats | None) -> Floats | None:
-        if rows is None:
-            return None
-        full = np.zeros((len(rows), size))
-        full[:, at] = rows
-        return full
-
-    def padded(bound: Floats | None, fill: float) -> Floats | None:
-        if bound is None:
-            return None
-        full = np.full(size, fill)
-        full[at] = bound
-        return full
-
-    return Constraints(
-        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
-    )
 
 
 def exact_frame(frame: Frame, *, total_released: bool = False) -> Frame:

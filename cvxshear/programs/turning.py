@@ -18,7 +18,7 @@ from cvxshear.measurement.experiment import MOTIONS, Configuration, Experiment, 
 from cvxshear.motions import THREE_MOTIONS, products, unit_derivatives
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.certificate import MatrixInequality
-from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, embedded, statements
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, statements
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util import quantities
 from cvxshear.util.decorators import cached_property
@@ -299,10 +299,7 @@ def floor_statements(experiment: Experiment, frame: Frame, priors: Sequence[Prio
     """List the exact statements about the parameters of the floors: about masses, and mass centers in the plan."""
     n, q = experiment.stories, len(experiment.motions.mass_names)
     floors = np.eye(n * q).reshape(n, q, -1)
-    found = [
-        NamedConstraints(each.name, embedded(each.constraints, experiment.of_masses, n * q))
-        for each in statements(priors, "floor_mass", n, frame)[1:]
-    ]
+    found = [each.widened(experiment.of_masses, n * q) for each in statements(priors, "floor_mass", n, frame)[1:]]
     if frame.plan is not None and not experiment.symmetric:
         half = np.broadcast_to(frame.plan, (n, 2)).T[:, :, None] / 2.0
         G = np.concatenate([
