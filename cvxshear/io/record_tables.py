@@ -21,19 +21,9 @@ from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns, refuse_data
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records import record as kinds
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
 from cvxshear.records.motion import differentiated
-from cvxshear.records.record import (
-    INPUTS,
-    RECORDED_QUANTITIES,
-    Channel,
-    Finding,
-    FrfRecord,
-    FrfRun,
-    Record,
-    Run,
-    TimeRecord,
-)  # fmt: skip
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS, counted
@@ -57,7 +47,7 @@ MOST_GAPS = 0.01
 
 
 @dataclass(frozen=True)
-class ChannelDeclaration(Channel):
+class ChannelDeclaration(kinds.Channel):
     """One channel as the record file declares it, named as its column.
 
     Parameters
@@ -123,8 +113,8 @@ class RecordFile:
     InputError
     """
 
-    record: Record
-    notes: tuple[Finding, ...] = ()
+    record: kinds.Record
+    notes: tuple[kinds.Finding, ...] = ()
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -153,7 +143,7 @@ class RecordFile:
             if self.turns and self.kind == "frf":
                 raise InputError("frame: motions: functions of floors that turn are not read; give time histories")
             self.channels = channels_of(table["channel"], declared, path, lines, self.turns)
-            self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+            self.input = checks.choice(declared.get("input", "none"), kinds.INPUTS, "record: input")
             self.name = checks.text(declared.get("name", named_after(path)), "record: name")
             self.runs = runs_of(table, declared)
             state = table.get("state")
@@ -260,7 +250,7 @@ class RecordFile:
             "turns": self.turns,
         }
 
-    def time_record(self) -> tuple[TimeRecord, list[Finding]]:
+    def time_record(self) -> tuple[kinds.TimeRecord, list[kinds.Finding]]:
         """Read time histories, with a note on each run of which samples are left out."""
         driver, responses, notes = self.driver, self.responses, []
         quantities = {item.quantity for item in responses}
@@ -270,25 +260,25 @@ class RecordFile:
         for piece in pieces:
             if piece.left_out:
                 count = sum(each.run == piece.run for each in pieces)
-                notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
+                notes.append(kinds.Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
         noise_from = min((piece.noise_from for piece in pieces if piece.noise_from is not None), default=None)
         if noise_from is not None and driver is not None:
             said = f"the ground was recorded as a {driver.quantity} and is differentiated up to {noise_from:.3g} Hz"
             numbers = {"channel": driver.name, "quantity": driver.quantity, "noise_from": noise_from}
             notes.append(
-                Finding("ground", f"{said}, where it is above its noise; higher modes are not excited", numbers)
+                kinds.Finding("ground", f"{said}, where it is above its noise; higher modes are not excited", numbers)
             )
         if not responses:
             raise InputError("no channel is on a floor above the ground")
         runs = []
         for each in pieces:
             table = [item.factor * each.columns.column(item.name, item.place or self.path.name) for item in responses]
-            runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
+            runs.append(kinds.Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
         common = {**self._common(), **({"quantity": quantities.pop()} if quantities else {})}
-        record = TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input)
+        record = kinds.TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input)
         return record, notes
 
-    def frf_record(self) -> FrfRecord:
+    def frf_record(self) -> kinds.FrfRecord:
         """Read frequency response functions."""
         declared, channels = self.declared, self.channels
         if declared.get("input", "force") != "force":
@@ -302,11 +292,11 @@ class RecordFile:
             axes.append((columns.column(name, "record: frequency"), columns.source))
             floor = self.floor(place)
             responses = np.column_stack([_complex(columns, item, self.path) for item in channels])
-            made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
+            made.append(kinds.FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
         for axis, source in axes[1:]:
             if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
                 raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
-        return FrfRecord(
+        return kinds.FrfRecord(
             tuple(channels), **self._common(), runs=tuple(made), frequencies=axes[0][0],
             truncated=declared.get("truncated", True),
         )  # fmt: skip
@@ -433,7 +423,7 @@ def _quantity(given: object, unit: str | None, usual: object, where: str) -> tup
     measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
-    quantity = checks.choice(given, ("force", *RECORDED_QUANTITIES), f"{where}: quantity")
+    quantity = checks.choice(given, ("force", *kinds.RECORDED_QUANTITIES), f"{where}: quantity")
     if unit is not None and quantity != measured:
         raise InputError(f"{where}: unit = {unit!r} is one of {measured}, not of {quantity}")
     return quantity, in_si
