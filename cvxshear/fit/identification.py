@@ -20,8 +20,7 @@ from cvxshear.fit.turning_floors import one_shot_turning
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares, MatrixInequality
-from cvxshear.programs.formulations import CompleteTest, complete_test
-from cvxshear.programs.pair_rows import normalized, stiffness_rows
+from cvxshear.programs.formulations import CompleteTest, complete_test, normalized, stiffness_rows
 from cvxshear.programs.turning import TurningTest, turning_tests
 from cvxshear.util import checks, decorators, errors, ranking
 from cvxshear.util.typing import Floats

@@ -16,8 +16,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced, quality
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import LeastSquares, Solution
-from cvxshear.programs.formulations import CompleteTest
-from cvxshear.programs.pair_rows import mass_rows, normalized
+from cvxshear.programs.formulations import CompleteTest, mass_rows, normalized
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -18,7 +18,7 @@ from cvxshear.fit.identification import METHODS, identify
 from cvxshear.fit.paper_methods import MOST_ITERATIONS, TOLERANCE
 from cvxshear.model import transformation
 from cvxshear.paper.setups import Setup, bound, six_story
-from cvxshear.programs.pair_rows import pair_normal
+from cvxshear.programs.formulations import pair_normal
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each

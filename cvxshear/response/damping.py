@@ -16,7 +16,7 @@ from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.priors import Constraints
-from cvxshear.programs import LeastSquares, constraints, pair_rows
+from cvxshear.programs import LeastSquares, constraints, formulations
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
@@ -303,7 +303,7 @@ def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floa
     drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
-    uncoupled = pair_rows.pair_products(drifts, diagonal=False) / unit[:, None]
+    uncoupled = formulations.pair_products(drifts, diagonal=False) / unit[:, None]
     # c_k / k_k minus the mean of all, relative to the factor that gives the first mode the mean ratio.
     typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)

@@ -3,7 +3,7 @@
 A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number. The nearest shear frame is
 fitted to the data as given and as changed. A change that can be made at K places has the prior odds q / K against the
 data as given, q the share of files with a mistake of its kind. The evidence of each fit makes them probabilities
-(`util/ranking.py`). A mistake is named if the data as given are improbable, with all changes that are needed to make the
+(`ranking.weigh`). A mistake is named if the data as given are improbable, with all changes that are needed to make the
 mistake certain.
 """
 

@@ -6,7 +6,7 @@ from scipy import linalg
 
 from cvxshear.model import affine_system, mode_derivatives, modes, shear_system
 from cvxshear.motions import ONE_MOTION, THREE_MOTIONS, center, center_slopes, products
-from cvxshear.programs.pair_rows import pair_products
+from cvxshear.programs.formulations import pair_products
 from tests.fe.plan_frames import random_frame
 
 

@@ -15,7 +15,7 @@ import pytest
 from cvxshear import Experiment, InputError, NoSolutionError, backends, identify
 from cvxshear.paper.setups import three_story
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.pair_rows import mass_rows, normalized, pair_normal, pair_products, stiffness_rows
+from cvxshear.programs.formulations import mass_rows, normalized, pair_normal, pair_products, stiffness_rows
 from cvxshear.util.parallel import each
 from tests.frames import configuration, experiment
 

@@ -7,7 +7,7 @@ from cvxshear import backends
 from cvxshear.model import stiffness_matrix
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import remaining
-from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
+from cvxshear.programs.formulations import mass_rows, normalized, one_shot_rows, stiffness_rows
 from tests.frames import chain, modes_of
 
 MASS = np.array([10.0, 7.5, 5.0])

@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from cvxshear import CvxshearError, InfeasibleError, NoSolutionError, UnsuitableError, backends
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Assembled
-from cvxshear.programs.pair_rows import one_shot_rows, stiffness_rows
+from cvxshear.programs.formulations import one_shot_rows, stiffness_rows
 from tests.studies.timing import table
 
 SUBSETS = 512

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from cvxshear import identify
-from cvxshear.programs.pair_rows import mass_rows, normalized
+from cvxshear.programs.formulations import mass_rows, normalized
 from tests.studies.scaling import exact_experiment
 from tests.studies.timing import fastest, shown, table
 

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from cvxshear import CvxshearError, backends
-from cvxshear.programs.pair_rows import mass_rows, normalized, stiffness_rows
+from cvxshear.programs.formulations import mass_rows, normalized, stiffness_rows
 from tests.studies.scaling import exact_experiment
 from tests.studies.timing import fastest as fastest_by_clock
 from tests.studies.timing import table
