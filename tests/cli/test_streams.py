@@ -1,7 +1,5 @@
 """Test unusual standard streams, unusual names, and commands that are interrupted or lose a process."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import json

@@ -7,8 +7,6 @@ it shows parts of it ("..." replaces the rest). A line without a similar printed
 error. Read the sentences around a changed output: `git diff` shows the places.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import os

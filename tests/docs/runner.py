@@ -7,8 +7,6 @@ a JSON object with what each block printed.
 It is a process of its own, so that effects, priors and backends that a page registers stay in it.
 """
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import dataclasses

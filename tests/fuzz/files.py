@@ -1,7 +1,5 @@
 """Make sound files of every kind that a reader accepts, to be damaged by the tests."""
 
-from __future__ import annotations
-
 import gc
 import warnings
 from pathlib import Path

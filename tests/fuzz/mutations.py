@@ -1,7 +1,5 @@
 """Damage files: bytes, like disks and mail do, and words, like people and programs do."""
 
-from __future__ import annotations
-
 import re
 
 from hypothesis import strategies as st

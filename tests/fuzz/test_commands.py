@@ -1,8 +1,6 @@
 """Run commands on every file that the readers accept. A command gives finite numbers or a message; its status is 0, 1
 or 2."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,8 +1,6 @@
 """Put harmful names through every output of every command. No output may contain a formula, a control character or a
 traceback."""
 
-from __future__ import annotations
-
 import ast
 import csv
 import functools

@@ -3,8 +3,6 @@
 `pytest tests/fuzz --fuzz-budget 20000` tries 20000 mutations per reader. A warning is an error here too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Write three short records of a shaken frame as files: bare, with a counterweight, with a softer story."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

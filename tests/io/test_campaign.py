@@ -1,7 +1,5 @@
 """Combine several records into one measurement: their modes, joint estimates, contradictions, and the commands."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """Harmful files are refused at once, with a message that contains the remedy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import io

@@ -1,7 +1,5 @@
 """Test modes from tables and universal files in a measurement file, and results in spreadsheets."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Create a record file from a logger's file: its columns, units and rate, and a readable record."""
 
-from __future__ import annotations
-
 import gzip
 import subprocess
 import sys

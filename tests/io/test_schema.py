@@ -1,7 +1,5 @@
 """The published JSON schemas accept all written results, and refuse invalid ones."""
 
-from __future__ import annotations
-
 import copy
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """Provide records for the tests: locations of the measured records, and small synthetic ones."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

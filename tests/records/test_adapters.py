@@ -1,7 +1,5 @@
 """Test modes from other programs, and results as plain values."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Test that a faulty record gives an error with the channel and the line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Compare with other maintained libraries on the same records, if they are installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

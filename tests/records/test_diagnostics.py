@@ -1,7 +1,5 @@
 """Test that faults of a record are found with their size, and that a sound record has no findings."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Test that faults of a channel are found before the identification, and that sound records stay the same."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

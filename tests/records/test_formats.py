@@ -1,7 +1,5 @@
 """Test readers and writers: the same record in every format, and a round trip of modes."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Test measured functions against dynamic stiffness, and manually chosen poles."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Test the measured records of shared/data with the default settings; expected values come from the issue."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Test modes of exactly integrated records of a known frame; expected values come from the issue."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

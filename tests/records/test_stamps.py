@@ -1,7 +1,5 @@
 """Test sampling rates from rounded time stamps: a constant rate is found, a missing sample is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Test modes of records of floors that turn, simulated with the frames of tests/fe/plan_frames.py."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

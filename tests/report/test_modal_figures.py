@@ -1,7 +1,5 @@
 """Test figures of identified modes and of floors that turn: no overlap, and values equal to the result."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

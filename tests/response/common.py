@@ -1,7 +1,5 @@
 """Make damped frames; integrate their motion independently of the package by a dense pencil and an ODE solver."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Make ordinary mistakes in a sound measurement file."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
