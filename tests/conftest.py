@@ -164,6 +164,31 @@ def run(capsys):
 
 
 @pytest.fixture
+def printed(run):
+    """Return the standard output of a command that succeeds without a message."""
+
+    def call(*arguments):
+        status, out, err = run(*arguments)
+        assert (status, err) == (0, "")
+        return out
+
+    return call
+
+
+@pytest.fixture
+def refused(run):
+    """Return the message of a command that ends with status 2 and prints nothing else."""
+
+    def call(*arguments):
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, "")
+        assert "Traceback" not in err
+        return err
+
+    return call
+
+
+@pytest.fixture
 def shared_loops(monkeypatch):
     """Close the loop of a measurement once for all commands of the tests that use this fixture."""
     import cvxshear.response.sources  # noqa: PLC0415 - loaded by the tests that need it

@@ -133,8 +133,7 @@ def test_the_scaled_program_has_unit_hessian_and_unit_rows():
 
 
 def test_no_solver_prints():
-    """HiGHS 1.16 prints its version on standard output once per process; other tools that read the output would
-    fail."""
+    """HiGHS 1.16 prints its version once per process; other tools that read the output would fail."""
     script = "import cvxshear\nfor name in ('highs', 'osqp', 'scs'): cvxshear.identify('paper', backend=name)"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert ran.stdout == ""

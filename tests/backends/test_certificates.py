@@ -1,5 +1,4 @@
-"""Certificates belong to the caller's program. They reveal mistakes in scaling and in its inverse, and errors that
-residuals do not show."""
+"""Certificates belong to the caller's program: they show mistakes in scaling, its inverse, and hidden errors."""
 
 import dataclasses
 import itertools
@@ -39,8 +38,7 @@ def conditioned(seed, condition, rows=2):
 
 
 def bounded(seed):
-    """Return a program of condition 3e5 whose bounds lie close to the unbounded solution, and its solution by
-    enumeration."""
+    """Return a program of condition 3e5 with bounds close to the unbounded solution, and its solution by trial."""
     R, rng = conditioned(seed, 3e5)
     inside = rng.standard_normal(2)
     s, lower = R @ inside, inside - 0.1 * rng.standard_normal(2)
@@ -282,10 +280,7 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
 
 @pytest.mark.parametrize(("off", "accepted"), [(2e-20, True), (2e-15, False)])
 def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows(off, accepted):
-    """A converged fit takes a step. The gradient for one unknown is 1e-24, for its neighbor 1e4.
-
-    The neighbor's row has terms of 6 with rounding 1e-15. Relative to an unknown of 109, this is 1e-17.
-    """
+    """The gradient is 1e-24 for one unknown and 1e4 for its neighbor, whose terms of 6 are rounded to 1e-15."""
     program = LeastSquares(np.array([[1e4, 0.0], [0.0, 109.0], [0.0, 1.0]]), np.array([3.0, 1e-24, 0.0]))
     found = certify(Assembled(program), Point(np.array([3e-4, off]), np.zeros(0), np.zeros(0)))
     assert (found.dual_residual <= 1e-6) is accepted

@@ -158,33 +158,27 @@ def test_a_solver_that_is_missing_says_how_to_get_it():
     assert (caller.installed, caller.how_to_get) == (False, "pip install no_such_caller")
 
 
-def test_the_list_has_every_backend_with_its_version_and_the_others_with_a_command(run):
-    status, out, _ = run("backends", "--json", "-")
-    assert status == 0
+def test_the_list_has_every_backend_with_its_version_and_the_others_with_a_command(run, printed):
+    out = printed("backends", "--json", "-")
     listed = {each["name"]: each for each in json.loads(out)["backends"]}
     assert {name for name, each in listed.items() if each["installed"]} == set(backends.available())
     import clarabel  # noqa: PLC0415
 
     assert listed["clarabel"]["version"] == clarabel.__version__
     assert all(bool(each["how_to_get"]) != each["installed"] for each in listed.values())
-    status, out, _ = run("backends")
+    out = printed("backends")
     assert "not installed" in out
     assert "pip install ecos" in out or listed["ecos"]["installed"]
 
 
 @pytest.mark.parametrize("option", [["--names", "kkt"], ["--tolerance", "1e-8"]])
-def test_options_for_programs_without_any_are_refused(run, option):
-    status, out, err = run("backends", *option)
-    assert status == 2
-    assert f"{option[0]} needs programs: name a measurement file, or 'paper'" in err
-    assert out == ""
+def test_options_for_programs_without_any_are_refused(refused, option):
+    assert f"{option[0]} needs programs: name a measurement file, or 'paper'" in refused("backends", *option)
 
 
-def test_the_command_takes_backends_repeats_and_a_tolerance(run):
+def test_the_command_takes_backends_repeats_and_a_tolerance(run, refused):
     arguments = ("backends", THREE, "--names", "kkt,daqp", "--repeats", "1", "--tolerance", "1e-9", "--json", "-")
     result = json.loads(run(*arguments)[1])
     assert {(row["backend"], row["tolerance"]) for row in result["rows"]} == {("kkt", None), ("daqp", 1e-9)}
     assert all(row["seconds"] > 0 for row in result["rows"] if not row["failure"])
-    status, _, err = run("backends", THREE, "--repeats", "0")
-    assert status == 2
-    assert "repeats = 0" in err
+    assert "repeats = 0" in refused("backends", THREE, "--repeats", "0")

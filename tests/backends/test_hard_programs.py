@@ -53,10 +53,7 @@ PRIORS = {
 @pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("std", [1e-12, 1e-9])
 def test_a_declared_total_is_met_however_sure_a_soft_prior_is(method, prior, std):
-    """HiGHS and others returned masses with a sum of 35.9 kg for 34 kg, because the prior's rows are large.
-
-    A constraint holds to 1e-9 of the sizes of its terms, which are 34 kg of masses and the total of 34 kg.
-    """
+    """A constraint holds to 1e-9 of its terms, masses of 34 kg in total, although the prior's rows are large."""
     of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4], prior=[{**PRIORS[prior], "std": std}])
     found = {}
     for name in backends.available():

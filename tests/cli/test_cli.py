@@ -26,34 +26,25 @@ pytestmark = pytest.mark.usefixtures("shared_loops")
 THREE = str(EXAMPLES / "three_story.toml")
 
 
-def test_identify_prints_the_papers_answer(run):
-    status, out, err = run("identify", "paper", "--method", "two-stage")
-    assert status == 0
-    assert err == ""
-    for printed in ("13.045", "25.517", "18.285", "25.176", "24.054", "23.842"):
-        assert printed in out
+def test_identify_prints_the_papers_answer(printed):
+    out = printed("identify", "paper", "--method", "two-stage")
+    for number in ("13.045", "25.517", "18.285", "25.176", "24.054", "23.842"):
+        assert number in out
 
 
-def test_json_stands_alone_on_standard_output(run):
-    status, out, _ = run("identify", THREE, "--initial-mass", "9.5,7.5,5.5", "--json", "-")
+def test_json_stands_alone_on_standard_output(printed):
+    out = printed("identify", THREE, "--initial-mass", "9.5,7.5,5.5", "--json", "-")
     result = json.loads(out)
-    assert status == 0
     assert set(result) >= {"method", "backend", "converged", "iterations", "frame", "fit", "predictions", "history"}
     # An initial mass means the paper's method.
     assert (result["method"], result["iterations"]) == ("two-stage", 14)
     assert result["frame"]["floor_mass"] == pytest.approx([10, 7.5, 5], rel=1e-5)
 
 
-def test_floors_that_turn_are_identified(run):
+def test_floors_that_turn_are_identified(printed):
     """The expected masses are those of the frame behind the example, in its theory page."""
-    status, out, err = run("identify", str(EXAMPLES / "turning_floors.toml"), "--json", "-")
-    frame = json.loads(out)["frame"]
-    assert status == 0
-    assert err == ""
+    frame = json.loads(printed("identify", EXAMPLES / "turning_floors.toml", "--json", "-"))["frame"]
     np.testing.assert_allclose(frame["floor_mass"], [42e3, 36e3, 30e3], rtol=0.01)
-    status, out, err = run("loop", str(EXAMPLES / "turning_floors.toml"))
-    assert (status, out) == (2, "")
-    assert "one-shot" in err
 
 
 def test_several_configurations_leave_the_top_null(run):
@@ -62,21 +53,19 @@ def test_several_configurations_leave_the_top_null(run):
     assert [item["name"] for item in result["configurations"]] == ["Structure 1", "Structure 2", "Structure 3"]
 
 
-def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
+def test_json_into_a_file_comes_with_the_tables(printed, tmp_path):
     out = tmp_path / "result.json"
-    status, shown, _ = run("identify", "paper", "--json", str(out))
-    assert status == 0
+    shown = printed("identify", "paper", "--json", str(out))
     found = json.loads(out.read_text())
     assert found["method"] == "efficient"
     assert f"chi-square {found['fit']['chi2']:.2f} on {found['fit']['dof']} degrees of freedom" in shown
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path):
+def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(printed, tmp_path):
     report, figure, result = (tmp_path / name for name in ("report.html", "residual.svg", "result.json"))
     written = ("--report", str(report), "--figure", str(figure), "--json", str(result))
-    status, out, _ = run("loop", "paper", *written)
-    assert status == 0
+    out = printed("loop", "paper", *written)
     assert f"cvxshear loop paper --report {report}" in report.read_text(encoding="utf-8")
     assert figure.read_text(encoding="utf-8").startswith("<?xml")
     assert json.loads(result.read_text())["verdict"] == "explained"
@@ -99,7 +88,7 @@ def test_effects_can_be_restricted_and_assumed(run):
     assert assumed["assumed"][0]["name"] == "gravity"
 
 
-def test_backends_lists_every_installed_one(run):
+def test_backends_lists_every_installed_one(run, printed):
     result = json.loads(run("backends", THREE, "--json", "-")[1])
     assert {row["backend"] for row in result["rows"]} == set(backends.available())
     kinds = {"mass", "stiffness", "one-shot", "bounded mass", "bounded stiffness", "singular stiffness", "step"}
@@ -108,8 +97,7 @@ def test_backends_lists_every_installed_one(run):
     failed = {(row["kind"].split()[0], row["backend"]) for row in result["rows"] if row["failure"]}
     # Goldfarb and Idnani's method needs a positive definite Hessian.
     assert failed == {("bounded", "kkt"), ("singular", "kkt"), ("singular", "quadprog")}
-    status, out, _ = run("backends", THREE)
-    assert status == 0
+    out = printed("backends", THREE)
     assert "takes no active bound" in out
 
 
@@ -126,12 +114,8 @@ def test_backends_lists_every_installed_one(run):
         (["identify", "paper", "--json", "/nowhere/at/all.json"], "/nowhere/at/all.json cannot be written"),
     ],
 )
-def test_bad_input_is_status_two_one_line_and_no_traceback(run, arguments, said):
-    status, out, err = run(*arguments)
-    assert status == 2
-    assert said in err
-    assert "Traceback" not in err
-    assert out == ""
+def test_bad_input_is_status_two_one_line_and_no_traceback(refused, arguments, said):
+    assert said in refused(*arguments)
 
 
 def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
@@ -141,26 +125,23 @@ def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
     assert "backend osqp: inaccurate solution" in err
 
 
-def test_a_bad_file_leaves_an_old_result_alone(run, tmp_path):
+def test_a_bad_file_leaves_an_old_result_alone(refused, tmp_path):
     out = tmp_path / "result.json"
     out.write_text("old")
-    status, _, _ = run("identify", str(tmp_path / "missing.toml"), "--json", str(out))
-    assert status == 2
+    refused("identify", str(tmp_path / "missing.toml"), "--json", str(out))
     assert out.read_text() == "old"
 
 
-def test_the_version_is_the_packages(run):
-    status, out, _ = run("--version")
-    assert status == 0
+def test_the_version_is_the_packages(printed):
+    out = printed("--version")
     assert cvxshear.__version__ in out
 
 
-def test_help_gives_an_example_for_every_command(run):
+def test_help_gives_an_example_for_every_command(printed):
     commands = [each for each in typer.main.get_command(app).commands if each != "study"]
     assert {"check", "identify", "loop", "modes", "plan", "predict", "backends", "reproduce"} <= set(commands)
     for command in commands:
-        status, out, _ = run(command, "--help")
-        assert status == 0
+        out = printed(command, "--help")
         assert f"Example: cvxshear {command}" in out
 
 
@@ -172,15 +153,14 @@ def test_piped_output_has_no_escape_codes():
     assert found.stderr == ""
 
 
-def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
+def test_json_says_where_it_comes_from(printed, tmp_path, monkeypatch):
     """Compare version, date, title and the SHA-256 of every input file with the system's tool."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     path = tmp_path / "a.toml"
     path.write_bytes((EXAMPLES / "three_story.toml").read_bytes())
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     for command in (["identify"], ["check"], ["backends", "--names", "kkt"], ["plan"]):
-        status, out, _ = run(command[0], path, *command[1:], "--json", "-")
-        assert status == 0
+        out = printed(command[0], path, *command[1:], "--json", "-")
         said = json.loads(out)["about"]
         assert (said["cvxshear"], said["date"]) == (cvxshear.__version__, "2023-11-14T22:13:20+00:00")
         assert said["sha256"] == digest

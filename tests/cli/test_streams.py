@@ -151,8 +151,7 @@ def _half(value):
 
 
 def test_who_stops_hears_nothing_of_what_was_under_way():
-    """Interrupt between two results with Ctrl-C. Warnings are errors here, and joblib warns when it drops the remaining
-    work."""
+    """Interrupt between two results with Ctrl-C. joblib warns when it drops the remaining work."""
 
     def stop(done, count):
         assert (done, count) == (3, 40)

@@ -1,10 +1,6 @@
-"""Replace the outputs on pages of the documentation by the current ones.
+"""Replace the outputs on pages by the current ones: `python -m tests.docs.rewrite PAGE ...`.
 
-    python -m tests.docs.rewrite PAGE ...
-
-runs each page and replaces every output that no longer agrees: as a whole if the page shows all of it, line by line if
-it shows parts of it ("..." replaces the rest). A line without a similar printed one stays and is named on standard
-error. Read the sentences around a changed output: `git diff` shows the places.
+An output with "..." is replaced line by line; a line without a similar printed one stays and is named.
 """
 
 import difflib

@@ -1,10 +1,6 @@
-"""Runs what the documentation shows: the python blocks and the commands of each page, one after the other.
+"""Run the blocks and commands of pages: `python runner.py FOLDER PAGE ...` prints a JSON object of their outputs.
 
-    python runner.py FOLDER PAGE ...
-
-runs the pages in FOLDER, a copy of examples/ beside it and the measured data as data/ where they are here, and prints
-a JSON object with what each block printed.
-It is a process of its own, so that effects, priors and backends that a page registers stay in it.
+The pages run in a copy of FOLDER with the measured data as data/; what a page registers stays in this process.
 """
 
 import ast
@@ -124,8 +120,7 @@ def run_python(block: Block, namespace: dict[str, object], page: Path) -> None:
     if not block.runs or page.name in IMPORTS_ALONE:
         tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
     ast.increment_lineno(tree, block.line - 1)
-    # Not inherited: this module's own annotations are deferred, the page's are not.
-    exec(compile(tree, str(page), "exec", dont_inherit=True), namespace)
+    exec(compile(tree, str(page), "exec"), namespace)
 
 
 def run_page(page: Path) -> dict[str, str]:

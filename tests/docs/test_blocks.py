@@ -62,10 +62,7 @@ def script_calls(page: Path) -> dict[str, str]:
 
 
 def measured(page: Path) -> bool:
-    """Whether a page covers measured frames: these take longest and run in a process of their own.
-
-    The names of their tests show it, see `tests/conftest.py`.
-    """
+    """Whether a page covers measured frames: these take longest and run in a process of their own."""
     return page.parent.name == "measured"
 
 

@@ -10,27 +10,12 @@ from scipy import io
 
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from tests.frames import EXAMPLES
-from tests.records.shared import csv
+from tests.records.shared import channels, csv
 
-CHANNELS = """
-[[channel]]
-column = "{ground}"
-floor = 0
-
-[[channel]]
-column = "{names[0]}"
-floor = 1
-
-[[channel]]
-column = "{names[1]}"
-floor = 2
-sign = -1
-calibration = 9.81
-
-[[channel]]
-column = "{names[2]}"
-floor = 3
-
+CHANNELS = channels("{ground}", "{names[0]}", "{names[1]}", first=0) + "sign = -1\ncalibration = 9.81\n"
+CHANNELS += (
+    channels("{names[2]}", first=3)
+    + """
 [frame]
 total_mass = 22.5
 
@@ -39,6 +24,7 @@ kind = "monotone"
 quantity = "story_stiffness"
 direction = "decreasing"
 """
+)
 
 
 def columns() -> np.ndarray:
@@ -68,8 +54,7 @@ def _variables(values: np.ndarray) -> dict[str, object]:
 
 
 def mat5(folder: Path, *, compressed: bool) -> bytes:
-    """Write several variables with compression, or a single one without. The tests can compress the single one
-    again."""
+    """Write several variables with compression, or a single one without, which a test can compress again."""
     held = _variables(columns()[:200])
     io.savemat(folder / "sound.mat", held if compressed else {"all": held}, do_compression=compressed)
     return (folder / "sound.mat").read_bytes()

@@ -1,5 +1,4 @@
-"""Run commands on every file that the readers accept. A command gives finite numbers or a message; its status is 0, 1
-or 2."""
+"""Run commands on every file that is read: finite numbers or a message, and a status of 0, 1 or 2."""
 
 import json
 import math

@@ -1,7 +1,4 @@
-"""Each reader returns finite numbers or refuses the file with a message, whatever the file contains.
-
-`pytest tests/fuzz --fuzz-budget 20000` tries 20000 mutations per reader. A warning is an error here too.
-"""
+"""Each reader returns finite numbers or refuses a file with a message; `--fuzz-budget` counts the tried mutations."""
 
 from collections.abc import Callable
 from pathlib import Path

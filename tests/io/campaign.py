@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.records.simulate import KnownFrame, shaker_record
+from tests.records.shared import channels
 
 MASSES = np.array([10.0, 7.5, 5.0])
 STIFFNESSES = np.array([36e3, 24e3, 12e3])
@@ -13,7 +14,7 @@ SOFTER = np.array([1.0, 0.85, 1.0])
 ADDED = np.array([0.0, 0.0, 2.5])
 RATE = 64.0
 
-CHANNELS = "".join(f'\n[[channel]]\ncolumn = "floor{i}"\nfloor = {i}\n' for i in (1, 2, 3))
+CHANNELS = channels("floor1", "floor2", "floor3")
 FORCE = '\n[[channel]]\ncolumn = "force"\nfloor = 3\nquantity = "force"\n'
 HEAD = 'added_mass = {added}\nstate = "{state}"\n[record]\nfile = "{name}.csv"\ninput = "force"\n'
 

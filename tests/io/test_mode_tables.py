@@ -182,19 +182,10 @@ def test_a_scale_that_is_not_known_is_to_be_filled_in(tmp_path):
         template_from(tmp_path / "modes.csv", tmp_path)
 
 
-def test_the_command_prints_or_writes_and_never_replaces(tmp_path, capsys):
-    from cvxshear.cli import main  # noqa: PLC0415
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main(["new", *arguments])
-        return stopped.value.code, capsys.readouterr()
-
-    assert run("--stories", "2")[1].out == template(2)
-    path = str(tmp_path / "new.toml")
-    assert run("-o", path)[0] == 0
-    status, shown = run("-o", path)
-    assert status == 2
-    assert "is there already" in shown.err
-    assert run("--from", "a.csv", "--stories", "2")[0] == 2
+def test_the_command_prints_or_writes_and_never_replaces(printed, refused, tmp_path):
+    path = tmp_path / "new.toml"
+    assert printed("new", "--stories", "2") == template(2)
+    printed("new", "-o", path)
+    assert "is there already" in refused("new", "-o", path)
+    refused("new", "--from", "a.csv", "--stories", "2")
     assert cvxshear.load(path).stories == 3

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.io.templates import template
 from cvxshear.records import IdentifiedRecord, from_arrays, identify_modes, merged
 from cvxshear.records.simulate import PAPER_FRAME, base_record
@@ -141,18 +140,15 @@ def test_motions_in_a_record():
     assert faults("reconstruct", left_out) == []
 
 
-def test_modes_of_one_record_and_of_several(tmp_path, capsys):
+def test_modes_of_one_record_and_of_several(tmp_path, run):
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0)
     assert faults("modes", json.loads(json.dumps(identify_modes(record).to_dict()))) == []
-    (run,) = record.runs
-    table = np.column_stack([np.arange(run.samples) / record.sampling_rate, run.excitation, run.responses])
-    np.savetxt(tmp_path / "sound.csv", table, delimiter=",", header="t,ground,a1,a2,a3", comments="")
+    files.table(tmp_path)
     (tmp_path / "a.toml").write_text(files.record_text("sound.csv"))
     (tmp_path / "b.toml").write_text(files.record_text("absent.csv"))
-    with pytest.raises(SystemExit) as stopped:
-        main(["modes", str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "--json", "-"])
-    assert stopped.value.code == 2
-    printed = json.loads(capsys.readouterr().out)
+    status, out, _ = run("modes", tmp_path / "a.toml", tmp_path / "b.toml", "--json", "-")
+    assert status == 2
+    printed = json.loads(out)
     assert faults("modes", printed) == []
     assert [Path(each["file"]).name for each in printed["failed"]] == ["b.toml"]
     assert np.isfinite(printed["records"][0]["frequencies"]).all()

@@ -33,8 +33,7 @@ def test_every_printed_result_is_met_or_accounted_for(reproduction):
 
 
 def test_what_was_only_met_from_rounded_figures_is_named(reproduction):
-    """The report names the errors in percent that the paper computed from rounded tables. It reproduces all other
-    results directly."""
+    """The report names the errors in percent that the paper computed from rounded tables."""
     places = {row.where for section in reproduction.sections for row in section.rows if row.verdict == ROUNDED}
     assert all(place.startswith(("Table 8", "Section 5.1", "Section 7")) for place in places)
 
@@ -55,10 +54,7 @@ def test_the_terminal_shows_every_section_with_brackets_and_signs(reproduction):
 
 
 def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
-    """The last digits of random samples depend on numpy's version; Tables 4 and 5 are the input.
-
-    The pages leave out the most frequent agreement.
-    """
+    """The last digits of random samples depend on numpy's version; the pages leave out the most frequent agreement."""
     documented = DOCS.read_text(encoding="utf-8")
     for section in reproduction.sections:
         if section.title.startswith(("Table 3", "Fig. 6", "Tables 4 and 5")):

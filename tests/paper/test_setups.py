@@ -1,8 +1,4 @@
-"""Random samples have the declared noise, and the Cramer-Rao bound is that of an independent information matrix.
-
-The matrix uses nothing from the package: the modes come from M^-1/2 K M^-1/2, the derivatives are central
-differences, and the unknown scale of each measured mode is a parameter of the information matrix.
-"""
+"""Random samples have the declared noise; the Cramer-Rao bound is compared with one from central differences."""
 
 import re
 from dataclasses import replace
@@ -78,8 +74,7 @@ STEP = 1e-5
 
 
 def modal_data(setup, theta):
-    """Return logarithms of the measured frequencies, shape (m,), and measured shapes of unit modal mass, shape (m,
-    n)."""
+    """Return logarithms of the measured frequencies, shape (m,), and shapes of unit modal mass, shape (m, n)."""
     n = setup.stories
     root = np.sqrt(theta[:n])
     drift = np.eye(n) - np.eye(n, k=-1)

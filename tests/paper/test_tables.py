@@ -1,7 +1,4 @@
-"""Compare the paper's tables to the last printed digit with every backend, and with its formulas written out.
-
-The printed figures are also compared with each other, to find errors of copying.
-"""
+"""Compare the paper's tables to the last digit with every backend, its formulas written out, and each other."""
 
 import numpy as np
 import pytest
@@ -121,8 +118,7 @@ def test_qi_written_out(case):
 
 @pytest.mark.parametrize("case", ["1", "2"])
 def test_berman_written_out(case):
-    """Find the smallest weighted change X of the mass matrix with P' X P = 1 - P' M0 P: X = M0^1/2 Y M0^1/2, |Y|
-    least."""
+    """Find the smallest change X = M0^1/2 Y M0^1/2 of the mass matrix, |Y| least, with P' X P = 1 - P' M0 P."""
     eigenvalues, phi = exact_modes()
     M0 = np.diag(PRINTED["initial_mass"][case])
     P = renormalised(phi, M0)
@@ -137,8 +133,7 @@ def test_berman_written_out(case):
 
 
 def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_counted(monkeypatch):
-    """Four samples have the errors b + s, b - s, b + s and b - s: their mean is b, their standard deviation s sqrt(4 /
-    3)."""
+    """Of the errors b + s, b - s, b + s, b - s the mean is b and the standard deviation s sqrt(4 / 3)."""
     shift, spread = np.array([4e-3, 5e-4, -2e-3, 0.0, 1e-3, -7e-4]), np.linspace(1e-3, 6e-3, 6)
     deviation = 100 * spread * np.sqrt(4 / 3)
 
@@ -207,8 +202,7 @@ def test_a_printed_figure_knows_its_decimals():
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_the_shapes_of_the_built_in_file_give_table_6(name):
-    """The paper draws the shapes (Fig. 8) and prints no number. The two modes are orthogonal by the masses of Table 6,
-    and Eq. 24 gives its two stiffnesses, from one ratio."""
+    """The two modes are orthogonal by the masses of Table 6, and Eq. 24 gives its stiffnesses from one ratio."""
     (mass, stiffness, frequencies) = (of(table, name) for table in ("table_6_mass", "table_6_stiffness", "table_5"))
     phi = next(each for each in load("paper").configurations if each.name == name).mode_shapes.T
     assert phi[:, 0] @ (mass * phi[:, 1]) == pytest.approx(0.0, abs=1e-4 * mass[1])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.planning import Declared, plan, predicted, write_template
 from cvxshear.planning.choice import CRITERIA
 from cvxshear.planning.planner import mass_grid
@@ -153,18 +152,13 @@ def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
         plan(file)
 
 
-def test_the_command_prints_and_writes(file, tmp_path, capsys):
+def test_the_command_prints_and_writes(file, tmp_path, printed):
     out = tmp_path / "plan.toml"
-    with pytest.raises(SystemExit) as ended:
-        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "-o", str(out)])
-    assert ended.value.code == 0
-    said = capsys.readouterr().out
+    said = printed("plan", file, "--sensors", "2", "--modes", "1,2", "-o", out)
     assert said.startswith("Measure floors ")
     assert "none is better" in said
     assert out.exists()
-    with pytest.raises(SystemExit):
-        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "--json", "-"])
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(printed("plan", file, "--sensors", "2", "--modes", "1,2", "--json", "-"))
     assert len(result["sensors"]) == 2
     assert result["tests"] == [{"name": "planned test 1", "added_mass": [0.0] * 4}]
     assert result["gap"] == 0.0
@@ -179,11 +173,8 @@ def test_the_command_prints_and_writes(file, tmp_path, capsys):
         (["--frequency-std", "0"], "frequency_std = 0 must be greater than 0"),
     ],
 )
-def test_a_wrong_option_of_the_command_ends_with_2(file, capsys, arguments, message):
-    with pytest.raises(SystemExit) as ended:
-        main(["plan", str(file), *arguments])
-    assert ended.value.code == 2
-    assert message in capsys.readouterr().err
+def test_a_wrong_option_of_the_command_ends_with_2(file, refused, arguments, message):
+    assert message in refused("plan", file, *arguments)
 
 
 def test_what_would_lower_the_deviations_does(file):
@@ -239,23 +230,19 @@ def test_a_report_shows_the_choice_the_picture_the_tables_and_the_bound(file, tm
         assert said in page, said
 
 
-def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
+def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, printed):
     """A single sensor has no information on shapes of free scale: every floor is nearly equal to frequencies alone."""
     found = plan(file, sensors=1, modes=2)
     assert found.chosen.choice.arbitrary
     assert found.chosen.choice.worst == pytest.approx(found.objective, rel=0.01)
     assert found.to_dict()["floors_arbitrary"]
-    with pytest.raises(SystemExit):
-        main(["plan", str(file), "--sensors", "1", "--modes", "2"])
-    assert "the floors named are arbitrary" in capsys.readouterr().out
+    assert "the floors named are arbitrary" in printed("plan", file, "--sensors", "1", "--modes", "2")
     assert not plan(file, sensors=2, modes=2).chosen.choice.arbitrary
 
 
-def test_the_command_prints_what_no_test_of_the_grid_can_beat(file, run):
-    assert (
-        "no tests with the largest added mass or half of it"
-        in run("plan", file, "--modes", "2", "--added-mass", "10")[1]
-    )
+def test_the_command_prints_what_no_test_of_the_grid_can_beat(file, printed):
+    said = printed("plan", file, "--modes", "2", "--added-mass", "10")
+    assert "no tests with the largest added mass or half of it" in said
 
 
 @pytest.mark.parametrize("fresh", [False, True])
@@ -277,7 +264,7 @@ def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan
     np.testing.assert_allclose(std[1], np.hypot(std[0], 0.1), rtol=0.02)
 
 
-def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsys):
+def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, printed):
     """Three equal floors on equal stories: frequencies 2 sin((2 r - 1) pi / 14) sqrt(k / m), shapes are sines."""
     angles = np.pi / 14 * np.array([2, 6, 10])
     shapes = np.sin(angles[:, None] * [1, 2, 3])
@@ -285,10 +272,7 @@ def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsy
         "[frame]\ntotal_mass = 1.0\ntotal_mass_placeholder = true\n[[configuration]]\n"
         f"frequencies = {(5 * np.sin(angles / 2)).tolist()}\nmode_shapes = {shapes.tolist()}\n"
     )
-    with pytest.raises(SystemExit) as done:
-        main(["plan", str(tmp_path / "modes.toml"), "--sensors", "2"])
-    said = capsys.readouterr().out
-    assert not done.value.code
+    said = printed("plan", tmp_path / "modes.toml", "--sensors", "2")
     assert "mass, of the total" in said
     assert "mass, kg  std of mass" not in said
     found = plan(tmp_path / "modes.toml", sensors=2)

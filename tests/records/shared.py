@@ -18,54 +18,29 @@ needs_southampton = pytest.mark.skipif(
     not (DATA / "southampton").is_dir(), reason="measured data beside the project (CVXSHEAR_SHARED): no functions here"
 )
 
+
+def channels(*columns: str, first: int = 1) -> str:
+    """Return the tables of a record file's channels, one on each floor from `first` up."""
+    return "".join(
+        f'\n[[channel]]\ncolumn = "{column}"\nfloor = {floor}\n' for floor, column in enumerate(columns, first)
+    )
+
+
 MINI_TABLE = """
 [record]
 name = "{name}"
 input = "base"
 file = "{file}"
-
-[[channel]]
-column = "ground_x"
-floor = 0
-
-[[channel]]
-column = "floor1_x"
-floor = 1
-
-[[channel]]
-column = "floor2_x"
-floor = 2
-
-[[channel]]
-column = "floor3_x"
-floor = 3
-"""
+""" + channels("ground_x", "floor1_x", "floor2_x", "floor3_x", first=0)
 
 SOUTHAMPTON = """
 [record]
 name = "southampton"
 kind = "frf"
 {more}
-
-[[channel]]
-column = "floor1"
-floor = 1
-
-[[channel]]
-column = "floor2"
-floor = 2
-
-[[channel]]
-column = "floor3"
-floor = 3
-""" + "".join(
-    f"""
-[[run]]
-file = "{{folder}}/set-{floor}.csv"
-input_floor = {floor}
-"""
-    for floor in (1, 2, 3)
-)
+""" + channels("floor1", "floor2", "floor3") + "".join(
+    f'\n[[run]]\nfile = "{{folder}}/set-{floor}.csv"\ninput_floor = {floor}\n' for floor in (1, 2, 3)
+)  # fmt: skip
 
 # Masses 2, 1 kg; stiffnesses 4000, 1500 N/m. K = [[5500, -1500], [-1500, 1500]], M = diag(2, 1):
 # det(K - w2 M) = 2 w2^2 - 8500 w2 + 6e6 = 0.

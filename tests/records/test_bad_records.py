@@ -8,30 +8,14 @@ from cvxshear.io.record_tables import read_record
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
-from tests.records.shared import csv
+from tests.records.shared import channels, csv
 
 RECORD = """
 [record]
 input = "base"
 file = "test.csv"
 {more}
-
-[[channel]]
-column = "ground"
-floor = 0
-
-[[channel]]
-column = "a1"
-floor = 1
-
-[[channel]]
-column = "a2"
-floor = 2
-
-[[channel]]
-column = "a3"
-floor = 3
-"""
+""" + channels("ground", "a1", "a2", "a3", first=0)
 NAMES = ["t", "ground", "a1", "a2", "a3"]
 
 
@@ -233,6 +217,7 @@ def test_two_runs_of_two_rates(tmp_path, good):
         ('input = "base"', 'input = "force"', 'needs one channel with quantity = "force"'),
         ("floor = 3", "floor = 3\naxis = 'y'", "the channels point along x, y; say which with record: axis"),
         ('input = "base"', 'input = "base"\nband = [5.0, 2.0]', "must be ascending, in Hz"),
+        (RECORD, "[record]", "record.toml: the key 'channel' is missing"),
         ("[record]", "[recrd]", "unknown key 'recrd'; did you mean 'record'?"),
         ('input = "base"', 'input = "base', "is not valid TOML"),
     ],
@@ -285,10 +270,3 @@ def test_noise_alone_has_no_modes():
     with pytest.raises(CvxshearError) as caught:
         identify_modes(record)
     assert isinstance(caught.value, NoSolutionError | InputError)
-
-
-def test_every_error_names_the_record_file(tmp_path):
-    path = tmp_path / "record.toml"
-    path.write_text("[record]\n")
-    with pytest.raises(InputError, match=r"record\.toml: the key 'channel' is missing"):
-        read_record(path)

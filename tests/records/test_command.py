@@ -8,10 +8,10 @@ import pytest
 from scipy import io, signal
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.records import Channel, Run, TimeRecord, identify_modes
 from cvxshear.records.simulate import KnownFrame, base_record
 from tests.frames import chain, modes_of
+from tests.records.shared import channels
 
 MASS = np.array([10.0, 7.5, 5.0])
 STIFFNESS = np.array([18000.0, 12000.0, 6000.0])
@@ -35,69 +35,51 @@ def record(tmp_path):
         columns += [values.real, values.imag]
     names = ",".join(["frequency_hz", *(f"floor{i}_{part}" for i in (1, 2, 3) for part in ("re", "im"))])
     np.savetxt(tmp_path / "frf.csv", np.column_stack([f, *columns]), delimiter=",", header=names, comments="")
-    channels = "".join(f'\n[[channel]]\ncolumn = "floor{i}"\nfloor = {i}\n' for i in (1, 2, 3))
-    text = f'[record]\nkind = "frf"\nfile = "frf.csv"\ninput_floor = 3\n{channels}\n[frame]\ntotal_mass = 22.5\n'
+    text = '[record]\nkind = "frf"\nfile = "frf.csv"\ninput_floor = 3\n' + channels("floor1", "floor2", "floor3")
     path = tmp_path / "record.toml"
-    path.write_text(text)
+    path.write_text(text + "\n[frame]\ntotal_mass = 22.5\n")
     return path
 
 
-def run_command(capsys, *arguments):
-    with pytest.raises(SystemExit) as stopped:
-        main(list(arguments))
-    return stopped.value.code, capsys.readouterr()
-
-
-def test_modes_are_printed_and_written(record, tmp_path, capsys):
-    out = tmp_path / "test.toml"
-    status, shown = run_command(capsys, "modes", str(record), "-o", str(out))
-    assert status == 0, shown.err
-    assert "3 modes at floors 1, 2, 3" in shown.out
+def test_modes_are_printed_and_written(record, tmp_path, printed):
+    file = tmp_path / "test.toml"
+    out = printed("modes", record, "-o", file)
+    assert "3 modes at floors 1, 2, 3" in out
     frequencies, _ = modes_of(MASS, STIFFNESS)
-    np.testing.assert_allclose(cvxshear.load(out).configurations[0].frequencies, frequencies, rtol=1e-3)
+    np.testing.assert_allclose(cvxshear.load(file).configurations[0].frequencies, frequencies, rtol=1e-3)
 
 
-def test_the_loop_takes_a_record(record, capsys):
-    status, shown = run_command(capsys, "loop", str(record), "--effects", "ground_spring", "--json", "-")
-    assert status == 0, shown.err
-    result = json.loads(shown.out)
+def test_the_loop_takes_a_record(record, printed):
+    out = printed("loop", record, "--effects", "ground_spring", "--json", "-")
+    result = json.loads(out)
     assert len(result["modes"]["frequencies"]) == 3
     np.testing.assert_allclose(result["frame"]["floor_mass"], MASS, rtol=0.03)
 
 
-def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
-    record.write_text(record.read_text().replace('"floor2"', '"flor2"'))
-    status, shown = run_command(capsys, "modes", str(record), "-o", str(tmp_path / "never.toml"))
-    assert status == 2
-    assert "flor2" in shown.err
-    assert not (tmp_path / "never.toml").exists()
-
-
-def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, capsys):
+def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, run):
     record.write_text(record.read_text().replace("floor = 2\n", "floor = 2\nsign = -1\n"))
-    status, shown = run_command(capsys, "check", str(record), "--strict")
+    status, out, _ = run("check", record, "--strict")
     assert status == 3
-    assert "RECORD: sign" in shown.out
-    assert json.loads(run_command(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
+    assert "RECORD: sign" in out
+    assert json.loads(run("check", record, "--json", "-")[1])["doubtful"]
     # A problem that `modes` repairs does not block the command.
-    assert run_command(capsys, "modes", str(record))[0] == 0
+    assert run("modes", record)[0] == 0
 
 
-def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, capsys):
-    status, shown = run_command(capsys, "check", str(record), "--json", "-")
-    assert status == 0, shown.err
-    result = json.loads(shown.out)
+def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, run, printed):
+    out = printed("check", record, "--json", "-")
+    result = json.loads(out)
     assert result["findings"] == []
     assert not result["refused"]
     exchanged = record.read_text().replace("floor = 1", "floor = 9").replace("floor = 2", "floor = 1")
     record.write_text(exchanged.replace("floor = 9", "floor = 2"))
-    status, shown = run_command(capsys, "check", str(record), "--strict")
+    status, out, _ = run("check", record, "--strict")
     assert status == 3
-    assert "RECORD: swapped channels" in shown.out
-    assert "MISTAKE" not in shown.out
+    assert "RECORD: swapped channels" in out
+    assert "MISTAKE" not in out
 
 
-def test_each_run_by_itself_ends_in_a_table_over_the_amplitude(tmp_path, capsys):
+def test_each_run_by_itself_ends_in_a_table_over_the_amplitude(tmp_path, run, printed):
     """Frames of 2 Hz times A^-0.04, each driven by noise of strength A, simulated exactly."""
     arrays = {}
     for number, strength in enumerate((0.1, 0.4, 2.0), 1):
@@ -106,17 +88,15 @@ def test_each_run_by_itself_ends_in_a_table_over_the_amplitude(tmp_path, capsys)
         arrays[f"eq{number}"] = {"acc": strength * np.column_stack([run.excitation, run.responses])}
     io.savemat(tmp_path / "quakes.mat", {**arrays, "fs": 20.0})
     path = tmp_path / "record.toml"
-    channel = '[[channel]]\ncolumn = "*.acc[{}]"\nfloor = {}\n'
-    both = channel.format(1, 0) + channel.format(2, 1)
+    both = channels("*.acc[1]", "*.acc[2]", first=0)
     path.write_text(f'[record]\ninput = "base"\nfile = "quakes.mat"\n{both}')
-    out, figure = tmp_path / "modes.toml", tmp_path / "amplitude.svg"
-    arguments = ("modes", str(path), "--each-run", "-o", str(out), "--figure", f"amplitude:{figure}")
-    status, shown = run_command(capsys, *arguments)
-    assert status == 0, shown.err
-    assert "Modes over the amplitude of the motion" in shown.out
-    tests = cvxshear.load(out).configurations
+    file, figure = tmp_path / "modes.toml", tmp_path / "amplitude.svg"
+    arguments = ("modes", path, "--each-run", "-o", file, "--figure", f"amplitude:{figure}")
+    out = printed(*arguments)
+    assert "Modes over the amplitude of the motion" in out
+    tests = cvxshear.load(file).configurations
     amplitudes = np.array([test.amplitude for test in tests])
-    change = float(re.search(r"mode 1 by (\S+) ± \S+ %", " ".join(shown.out.split())).group(1))
+    change = float(re.search(r"mode 1 by (\S+) ± \S+ %", " ".join(out.split())).group(1))
     exact = np.polyfit(np.log10(amplitudes), -0.04 * np.log([0.1, 0.4, 2.0]), 1)[0]
     assert change == pytest.approx(100 * np.expm1(exact), abs=0.3)
     np.testing.assert_allclose(

@@ -14,7 +14,7 @@ from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError
-from tests.records.shared import csv
+from tests.records.shared import channels, csv
 
 NAMES = ["t", "force", "a1", "a2"]
 CHANNELS = """
@@ -111,15 +111,7 @@ def test_every_array_of_a_mat_file_is_what_scipy_wrote_there(tmp_path, values):
             np.testing.assert_array_equal(ours.values[:, ours.names.index(name)], column)
 
 
-EARTHQUAKE = """
-[[channel]]
-column = "{0}"
-floor = 0
-
-[[channel]]
-column = "{1}"
-floor = 1
-"""
+EARTHQUAKE = channels("{0}", "{1}", first=0)
 
 
 @pytest.mark.parametrize(

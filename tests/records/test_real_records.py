@@ -54,10 +54,7 @@ def test_late_sensor_of_the_mini_table(name):
 @needs_mini_table
 @pytest.mark.parametrize(("sine", "earthquake"), [("stiff-sine-2.0", "stiff-northridge")])
 def test_a_sensor_a_sample_off_changes_no_shape(sine, earthquake):
-    """In the sine record, the first floor's sensor is one sample of 120 Hz later than in the earthquake record.
-
-    In both records, the sensors of the two floors also differ by some tenths of a millisecond.
-    """
+    """The first floor's sensor is one sample of 120 Hz later in the sine record than in the earthquake record."""
     first, second = mini(sine), mini(earthquake)
     apart = [each.clock_offsets["floor1_x"][0] - each.clock_offsets["floor2_x"][0] for each in (first, second)]
     assert apart[0] - apart[1] == pytest.approx(1 / 120, abs=8e-4)

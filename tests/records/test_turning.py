@@ -7,7 +7,6 @@ import pytest
 from scipy import linalg, signal
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.io.modes import modes_from_file
 from cvxshear.records import Channel, Run, TimeRecord, identify_modes
 from tests.fe.plan_frames import random_frame
@@ -75,13 +74,11 @@ def record_file(tmp_path, frame, **changes):
     return path
 
 
-def test_the_command_line_writes_a_measurement_file_with_its_sensors(tmp_path, capsys):
+def test_the_command_line_writes_a_measurement_file_with_its_sensors(tmp_path, printed):
     frame = random_frame(2, 3)
     written = {"--output": tmp_path / "test.toml", "--report": tmp_path / "modes.html"}
-    with pytest.raises(SystemExit) as stopped:
-        main(["modes", str(record_file(tmp_path, frame)), *(str(each) for pair in written.items() for each in pair)])
-    assert stopped.value.code == 0
-    assert "rotation" in capsys.readouterr().out
+    out = printed("modes", record_file(tmp_path, frame), *(each for pair in written.items() for each in pair))
+    assert "rotation" in out
     assert "rotation" in written["--report"].read_text()
     experiment = cvxshear.load(written["--output"])
     assert [sensor.direction for sensor in experiment.configurations[0].sensors] == [0.0, 90.0, 0.0] * 2

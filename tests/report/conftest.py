@@ -7,6 +7,7 @@ import pytest
 
 import cvxshear
 from cvxshear.paper import paper_setups
+from cvxshear.report.blocks import Table, describe
 from tests import closed
 from tests.fe.experiments import simulated
 
@@ -19,6 +20,15 @@ def experiment(effect, stories, configurations=2, seed=3, **options):
         effect, stories=stories, configurations=configurations, rng=np.random.default_rng(seed), **options
     )
     return declared
+
+
+def parts(of, kind):
+    return [part for section in describe(of).sections for part in section.parts if isinstance(part, kind)]
+
+
+def table(of, key):
+    """Return a table of the description of a result."""
+    return next(part for part in parts(of, Table) if part.key == key)
 
 
 @pytest.fixture(scope="session")

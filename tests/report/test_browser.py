@@ -1,7 +1,4 @@
-"""Test reports in a real browser, a headless Chromium.
-
-Without a Chromium on the PATH, these tests are skipped. In continuous integration (CI in the environment), they fail.
-"""
+"""Test reports in a headless Chromium; without one on the PATH these are skipped, or fail where CI is set."""
 
 import json
 import os
@@ -16,9 +13,9 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
-from cvxshear.report.blocks import describe
 from cvxshear.report.html import render
 from cvxshear.response import predict
+from tests.report.conftest import table
 from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
 
@@ -112,12 +109,10 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
     result = json.loads(json.dumps(reports[1][name].to_dict()))
     assert page.inner_text("#verdict") == result["verdict"]
     assert json.loads(page.text_content("#result")) == result
-    table = next(
-        part for part in describe(reports[1][name])["before-after"].parts if getattr(part, "key", "") == "errors"
-    )
+    errors = table(reports[1][name], "errors")
     rows = [row.query_selector_all("th, td") for row in page.query_selector_all("#errors tbody tr")]
-    assert [tuple(cell.inner_text() for cell in row) for row in rows] == list(table.rows)
-    written = set(zip(table.columns[1].values, table.columns[2].values, strict=True))
+    assert [tuple(cell.inner_text() for cell in row) for row in rows] == list(errors.rows)
+    written = set(zip(errors.columns[1].values, errors.columns[2].values, strict=True))
     assert written == {(result["before"][key], result["after"][key]) for key in result["before"]} - {(None, None)}
     # The table has one row per floor and their sum.
     assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"]) + 1

@@ -17,7 +17,7 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.results import VERDICTS, Verdict
 from cvxshear.report import terminal
-from cvxshear.report.blocks import Table, describe, table_of_rows
+from cvxshear.report.blocks import describe, table_of_rows
 from cvxshear.report.headline import carried_by, chi2_by_kind, headline
 from cvxshear.report.html import render
 from cvxshear.report.identified import frame_table, in_words
@@ -25,17 +25,9 @@ from cvxshear.report.terminal import notebook_html, plain_table
 from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import chance
-from tests.report.conftest import NASTY, experiment
+from tests.report.conftest import NASTY, experiment, table
 
 EVERY = ["paper", "eight", "unexplained", "twenty", "nine", "ambiguous"]
-
-
-def tables(document):
-    return [part for section in document.sections for part in section.parts if isinstance(part, Table)]
-
-
-def table(document, key):
-    return next(each for each in tables(document) if each.key == key)
 
 
 def test_the_headline_of_an_explained_frame_names_size_probability_and_errors(paper):
@@ -171,15 +163,15 @@ def test_states_and_frame_come_first_then_the_probabilities_of_the_result(ambigu
     assert [section.key for section in document.sections if section.appendix] == [
         "declared", "frequencies", "not-considered", "effort"
     ]  # fmt: skip
-    rows = [row[1:3] for row in table(document, "candidates-table").rows]
+    rows = [row[1:3] for row in table(ambiguous, "candidates-table").rows]
     assert rows == [(chance(item.prior), chance(item.probability)) for item in ambiguous.candidates]
     (effect,) = ambiguous.effects
-    shown = [row[1] for row in table(document, "effects-table").rows]
+    shown = [row[1] for row in table(ambiguous, "effects-table").rows]
     assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]
 
 
 def test_the_frame_that_a_person_reads_is_the_averaged_one(paper):
-    identified = table(describe(paper), "identified")
+    identified = table(paper, "identified")
     lowest, total = (row for row in identified.rows[-2:])
     assert (lowest[0], total[0]) == ("1", "sum")
     assert float(total[1]) == pytest.approx(paper.averaged.floor_mass.sum(), rel=1e-4)
@@ -322,7 +314,7 @@ def test_masses_in_tonnes_are_told_so(paper):
     heavy = IdentifiedFrame(1000 * paper.frame.floor_mass, 1000 * paper.frame.story_stiffness, unknown, unknown)
     found = cvxshear.identify(paper.experiment, "two-stage")
     parts = tuple(dataclasses.replace(part, frame=heavy) for part in found.parts)
-    first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")
+    first = table(dataclasses.replace(found, parts=parts), "identified-1")
     assert first.head == ("floor / story", "mass, t", "stiffness, MN/m")
     *floors, total = (float(row[1]) for row in first.rows)
     assert floors == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
@@ -353,11 +345,11 @@ def test_where_mass_was_added_is_told_in_the_unit_of_the_frame():
     for each, added in zip(declared["configuration"], ([0.0] * 6, [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]), strict=True):
         each["added_mass"] = added
     declared["frame"]["total_mass"] = 106.5e3
-    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    rows = table(cvxshear.Experiment.from_dict(declared), "tests").rows
     assert [row[3] for row in rows] == ["none", "0.5 t on floor 3"]
     for each in declared["configuration"]:
         del each["mode_shapes"], each["mode_shape_std"], each["measured_floors"]
-    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    rows = table(cvxshear.Experiment.from_dict(declared), "tests").rows
     assert [row[2] for row in rows] == ["none", "none"]
 
 

@@ -21,19 +21,11 @@ from cvxshear.response import DrivenRecord, DrivenRun, predict
 from cvxshear.screening import Screening
 from tests.fe.experiments import simulated
 from tests.planning.common import NOISE, slow_covariance, tapered
-from tests.report.conftest import NASTY
+from tests.report.conftest import NASTY, parts, table
 from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking
 
 SWAPPED = Path(__file__).resolve().parents[2] / "examples" / "swapped_sensors.toml"
 STEP = 0.01
-
-
-def parts(of, kind):
-    return [part for section in describe(of).sections for part in section.parts if isinstance(part, kind)]
-
-
-def table(of, key):
-    return next(part for part in parts(of, Table) if part.key == key)
 
 
 def column(of, at):

@@ -9,7 +9,6 @@ from matplotlib.patches import Ellipse
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.cli import main
 from cvxshear.records import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
@@ -164,11 +163,9 @@ def test_modes_from_above_name_their_shares():
     assert all("100 %" in title or "9" in title for title in titles)
 
 
-def test_a_page_of_an_identification(tmp_path):
+def test_a_page_of_an_identification(tmp_path, printed):
     page = tmp_path / "frame.html"
-    with pytest.raises(SystemExit) as stopped:
-        main(["identify", str(EXAMPLES / "turning_floors.toml"), "--report", str(page), "--quiet"])
-    assert stopped.value.code == 0
+    printed("identify", EXAMPLES / "turning_floors.toml", "--report", page, "--quiet")
     text = page.read_text()
     for figure in ("plans", "plan_shapes"):
         assert f'id="figure-{figure}"' in text

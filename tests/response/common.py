@@ -43,10 +43,7 @@ def pole_ratios(M, C, K):
 
 
 def integrated(M, C, K, excitation, step, floor=0):
-    """Return total accelerations and relative displacements (samples by floors) by explicit Runge-Kutta of order 8.
-
-    The integration restarts at each sample, because the excitation has a corner there.
-    """
+    """Return total accelerations and relative displacements (samples by floors) by Runge-Kutta for each sample."""
     n = len(M)
     inverse = linalg.inv(M)
     load = -np.ones(n) if floor == 0 else inverse[:, floor - 1]
@@ -101,6 +98,12 @@ def declared(
     }
     frame = {"stories": n, "total_mass": float(np.sum(mass)), "story_heights": 3.0}
     return {"frame": frame, "configuration": [configuration], **more}
+
+
+def damped_measurement(stories, **options):
+    """Return the dict of a measurement file of `damped_frame`, with the exact damping ratios."""
+    mass, stiffness, dashpots = damped_frame(stories)
+    return declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots)), **options)
 
 
 def sampled(frame, function, samples, rng):

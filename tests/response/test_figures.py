@@ -27,7 +27,7 @@ from cvxshear.response import (
 )
 from tests.report.test_figures import assert_readable
 from tests.report.test_html import sways
-from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.response.common import damped_frame, damped_measurement, declared, matrices, pole_ratios, shaking
 
 DRAWN = [figures.response_histories, figures.response_peaks]
 
@@ -35,9 +35,8 @@ DRAWN = [figures.response_histories, figures.response_peaks]
 @pytest.fixture(scope="module", params=[2, 20])
 def prediction(request):
     stories = request.param
-    mass, stiffness, dashpots = damped_frame(stories)
-    M, C, K = matrices(mass, stiffness, dashpots)
-    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K)))
+    M, C, K = matrices(*damped_frame(stories))
+    experiment = cvxshear.Experiment.from_dict(damped_measurement(stories))
     fitted = Fitted.of(efficient(experiment, backends.get("auto")))
     excitation = shaking(800)
     floors = np.arange(1, stories + 1)

@@ -29,7 +29,7 @@ from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
-from tests.response.common import damped_frame, declared, matrices, pole_ratios
+from tests.response.common import damped_frame, damped_measurement, matrices, pole_ratios
 
 CHANGES = (
     FrameChange("story", 0, 0.5 * np.eye(5)[:, :1], -2.5),
@@ -229,11 +229,8 @@ def test_a_heavier_floor_leaves_the_stories_as_they_are():
 
 @pytest.fixture(scope="module")
 def uncertain():
-    mass, stiffness, dashpots = damped_frame(3)
-    M, C, K = matrices(mass, stiffness, dashpots)
-    table = declared(mass, stiffness, pole_ratios(M, C, K), rng=np.random.default_rng(1))
     solver = backends.get("auto")
-    experiment = cvxshear.Experiment.from_dict(table)
+    experiment = cvxshear.Experiment.from_dict(damped_measurement(3, rng=np.random.default_rng(1)))
     return UncertainFrame.of(Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver)
 
 

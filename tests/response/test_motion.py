@@ -50,10 +50,7 @@ def test_one_mass_under_a_ramp():
 
 @pytest.mark.parametrize("floor", [0, 1])
 def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do(floor):
-    """Compare with the steady state; linear interpolation would lose 1 - sinc(f h)^2 of each harmonic.
-
-    A force moves its floor at once, by its value at the sample; a base motion does not.
-    """
+    """Compare with the steady state; linear interpolation would lose 1 - sinc(f h)^2 of each harmonic."""
     omega, ratio, time = 2 * np.pi * 12.0, 0.05, STEP * np.arange(4000)
     of = DampedModel(np.array([[1.0]]), np.array([[2 * ratio * omega]]), np.array([[omega**2]]), np.ones(1))
     expected, excitation = np.zeros(4000), np.zeros(4000)

@@ -17,10 +17,7 @@ from tests.studies.response_records import models, predicted
     ("frame", "before", "after", "in_time"), [("flexible", 0.46, 0.04, 0.7), ("stiff", 0.43, 0.13, 0.7)]
 )
 def test_the_earthquake_is_reproduced_by_the_model_with_joint_rotation(frame, before, after, in_time):
-    """The modes come from this record; the errors are root mean squares of the floors' accelerations.
-
-    Errors in time: 0.61, 0.67, 0.69 for the flexible frame's floors and 0.61, 0.60, 0.64 for the stiff frame's.
-    """
+    """The modes come from this record; the errors are root mean squares of the floors' accelerations."""
     found = predicted(f"{frame}-northridge", f"{frame}-northridge")
     assert np.max(np.abs(found.before.comparison.rms_ratio - 1)) == pytest.approx(before, abs=0.03)
     assert np.max(np.abs(found.after.comparison.rms_ratio - 1)) < after
@@ -39,11 +36,7 @@ def test_the_earthquake_is_reproduced_by_the_model_with_joint_rotation(frame, be
     ],
 )
 def test_transfer_functions_of_the_unseen_record(source, record, frame, error, share):
-    """The error around the modes falls to about 0.8 or less; a remark attributes the rest to the amplitude.
-
-    Modes from the earthquake: 0.50 (flexible) and 0.32 (stiff) of the former error; from the sine: 0.60 and 0.81. The
-    stiff frame's frequencies are so certain there that the shear model follows them.
-    """
+    """The error around the modes falls to about 0.8 or less; a remark attributes the rest to the amplitude."""
     found = predicted(f"{frame}-{source}", f"{frame}-{record}")
     before, after = (side.comparison.frf_error.mean(axis=0) for side in (found.before, found.after))
     assert after.mean() < error
@@ -72,10 +65,7 @@ def test_one_damping_for_both_records_at_the_same_amplitude():
 
 @needs_mini_table
 def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
-    """Frequencies and shapes from the sine with damping from the earthquake give the right size but wrong timing.
-
-    The motion is 40 % too strong with the sine's own damping, and 1 % too weak with the earthquake's.
-    """
+    """The motion is 40 % too strong with the sine's own damping, and 1 % too weak with the earthquake's."""
     own, swapped = (
         crossed("flexible-sine-2.0", f"flexible-{of}", "flexible-northridge") for of in ("sine-2.0", "northridge")
     )
@@ -87,10 +77,7 @@ def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
 @needs_mini_table
 @pytest.mark.parametrize(("frame", "largest"), [("flexible", 0.10), ("stiff", 0.25)])
 def test_the_middle_floor_from_the_other_two(frame, largest, tmp_path, monkeypatch):
-    """With modes from the earthquake, reconstruct 40 seconds of the sine without the sensor of floor 2.
-
-    `tests.studies.response_records.sensors` also omits floors 1 and 3, over the whole record.
-    """
+    """With modes from the earthquake, reconstruct 40 seconds of the sine without the sensor of floor 2."""
     checked, passed = frame_motion.checked, SimpleNamespace(floor=0, error=0.0, stated=1.0)
     monkeypatch.setattr(frame_motion, "checked", lambda *given: checked(*given) if given[3] == 1 else passed)
     file = mini_table(tmp_path, f"{frame}-sine-2.0")

@@ -196,10 +196,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
 @pytest.mark.parametrize("force_floor", [0, 3])
 @pytest.mark.parametrize("gap", [500, 300])
 def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap):
-    """Between its samples the force is not linear; floor accelerations respond to a force at once.
-
-    From sample `gap`, one sensor recorded no data; its placeholder values must have no influence. The sensors are late.
-    """
+    """The force is not linear between its samples; one sensor has no data from sample `gap`; the sensors are late."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     rng = np.random.default_rng(1)
@@ -480,10 +477,7 @@ def failing_always(work, *, detrend):
 
 
 def test_a_damper_in_one_story_is_named_and_moves_no_drift():
-    """The frame has 2 % modal damping and a dashpot that adds 3 % to the first mode, in the tests and the record.
-
-    Modal damping alone does not couple the modes and would put drifts off by several deviations.
-    """
+    """The frame has 2 % modal damping and, in tests and record, a dashpot that adds 3 % to the first mode."""
     rng = np.random.default_rng(6)
     mass, stiffness = 2e5 * np.exp(0.1 * rng.standard_normal(4)), 3e8 * np.array([1.0, 0.9, 0.7, 0.5])
     M, K = chain(mass, stiffness)
@@ -633,10 +627,7 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
 
 @pytest.mark.parametrize(("stories", "frames"), [(3, 2), (8, 1)])
 def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
-    """The frames have flexible beams, the model is a shear model; drifts between the sensors must lie within bands.
-
-    `python -m tests.studies reconstruction` runs more and longer cases.
-    """
+    """The frames have flexible beams, the model is a shear model; drifts between the sensors must lie within bands."""
     by_prediction, by_fit = [], []
     for seed in range(frames):
         models, motion, drift, _ = study.setting(stories, "beams", seed, seconds=20.0)
@@ -651,10 +642,7 @@ def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
 
 
 def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened):
-    """No recorded excitation causes the initial free vibration; its state is fitted with the frame.
-
-    A record with a late trigger ends quietly; its baselines come from the quiet part, here 0.02 m/s2 and zero.
-    """
+    """No recorded excitation causes the initial motion. The baselines, 0.02 m/s2 and zero, show in the quiet end."""
     models, motion, drift, soft, _ = softened
     drive, late = motion.runs[0], slice(900, 4000)
     part = dataclasses.replace(drive, excitation=drive.excitation[late] + 0.02, responses=drive.responses[late])

@@ -9,16 +9,14 @@ import pytest
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.cli import main
 from cvxshear.io.toml import write_measurement
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.report.blocks import describe
 from cvxshear.report.html import render
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
-from tests.records.shared import csv
-from tests.report.conftest import NASTY
+from tests.records.shared import channels, csv
+from tests.report.conftest import NASTY, table
 from tests.report.test_html import Page
-from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.response.common import damped_frame, damped_measurement, matrices, shaking
 
 pytestmark = pytest.mark.usefixtures("shared_drawings")
 COMMAND = "cvxshear predict frame.toml --record shaken.toml"
@@ -26,10 +24,7 @@ COMMAND = "cvxshear predict frame.toml --record shaken.toml"
 
 @pytest.fixture(scope="module")
 def closed():
-    mass, stiffness, dashpots = damped_frame(3)
-    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
-    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, ratios), name=NASTY)
-    return close_loop(experiment, effects=["gravity"])
+    return close_loop(cvxshear.Experiment.from_dict(damped_measurement(3), name=NASTY), effects=["gravity"])
 
 
 def motion(*, measured):
@@ -78,32 +73,31 @@ def test_one_set_of_errors_where_nothing_was_added(closed):
     assert closed.estimate.effects == ()
     alike = predict(models_of_loop(closed), motion(measured=True))
     assert alike.to_dict()["before"] == alike.to_dict()["after"]
-    table = next(part for section in describe(alike).sections for part in section.parts if section.key == "errors")
-    assert table.head[:2] == ("floor", "error in time")
-    assert [row[0] for row in table.rows] == ["3", "2", "1"]
+    errors = table(alike, "prediction-errors")
+    assert errors.head[:2] == ("floor", "error in time")
+    assert [row[0] for row in errors.rows] == ["3", "2", "1"]
 
 
 def test_two_sets_of_errors_where_an_effect_was_added(closed):
     gained = close_loop(closed.experiment, effects=[], assume=["gravity"]).estimate
     pair = Models(Fitted.of(closed.estimate), Fitted.of(gained))
     found = predict(pair, motion(measured=True))
-    table = next(part for section in describe(found).sections for part in section.parts if section.key == "errors")
-    assert [row[:2] for row in table.rows[:2]] == [("3", "shear model"), ("3", "with effects")]
+    assert [row[:2] for row in table(found, "prediction-errors").rows[:2]] == [
+        ("3", "shear model"),
+        ("3", "with effects"),
+    ]
 
 
 @pytest.mark.usefixtures("shared_loops")
-def test_commands_write_it(tmp_path, monkeypatch, capsys):
+def test_commands_write_it(tmp_path, monkeypatch, printed):
     monkeypatch.chdir(tmp_path)
-    mass, stiffness, dashpots = damped_frame(2)
-    write_measurement("frame.toml", declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots))))
+    write_measurement("frame.toml", damped_measurement(2))
     csv(tmp_path / "ground.csv", ["ground"], shaking(400)[:, None])
     (tmp_path / "ground.toml").write_text(
-        '[record]\nname = "ground"\ninput = "base"\nfile = "ground.csv"\nsampling_rate = 100.0\n\n'
-        '[[channel]]\ncolumn = "ground"\nfloor = 0\n'
+        '[record]\nname = "ground"\ninput = "base"\nfile = "ground.csv"\nsampling_rate = 100.0\n'
+        + channels("ground", first=0)
     )
     words = ["predict", "frame.toml", "--record", "ground.toml"]
-    with pytest.raises(SystemExit) as ended:
-        main([*words, "--report", "predict.html"])
-    assert ended.value.code == 0, capsys.readouterr().err
+    printed(*words, "--report", "predict.html")
     text = (tmp_path / "predict.html").read_text()
     assert all(said in text for said in ("Predicted response", "figure-peaks", " ".join(words)))

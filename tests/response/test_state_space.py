@@ -79,10 +79,7 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_noise_has_the_deviations_that_were_asked_for(case):
-    """The stationary noise is 1/25 of the rms story force; a step adds the integral of e^At.
-
-    An error of 0.7 in the excitation's sensor acts in the two steps that share its sample.
-    """
+    """A step adds the integral of e^At; an error of 0.7 in the excitation acts in both steps of its sample."""
     found = dynamics(frame(), NOISE, setting(case))
     np.testing.assert_allclose(found.P0, linalg.solve_discrete_lyapunov(found.A, found.Q), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(np.sqrt(np.diag(found.P0))[6:], [0.04] * 3)

@@ -16,23 +16,7 @@ by at least this in some mode; smaller mistakes have no visible effect."""
 
 
 def with_mistake(name, declared, rng):
-    """Return the dict of a measurement file with a mistake, its configurations, and the words of the finding.
-
-    Parameters
-    ----------
-    name : str
-        One of `MISTAKES`.
-    declared : dict
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    declared : dict
-    configurations : list of str
-        Configurations that have the mistake.
-    word : str
-        Word that the finding's `change` must contain.
-    """
+    """Return the dict with one of `MISTAKES`, the configurations with it, and words of the finding's `change`."""
     declared = copy.deepcopy(declared)
     tables = declared["configuration"]
     wrong = tables if name in SENSOR_MISTAKES else [tables[int(rng.integers(len(tables)))]]

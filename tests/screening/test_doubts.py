@@ -99,8 +99,7 @@ def test_a_copied_configuration_is_found():
 
 
 def test_a_mode_that_looks_like_the_one_before_is_asked_about():
-    """Torsion has 1.6 times the first frequency. Sensors off the center of a uniform frame measure it as sine
-    shapes."""
+    """Torsion has 1.6 times the first frequency; sensors off the center measure it as sine shapes."""
     n, sensors = 8, np.array([2, 5, 8])
     angle = (2 * np.arange(1, n + 1) - 1) * np.pi / (2 * n + 1)
     frequency, shapes = 10.0 * np.sin(angle / 2), np.sin(np.outer(angle, sensors))

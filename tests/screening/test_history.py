@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.io.toml import load, write_measurement
 from cvxshear.util.errors import InputError
 from tests.studies.history import STEP_AT, STORIES, TESTS, TRENDS, write_folder
@@ -63,13 +62,11 @@ def test_nothing_is_found_without(tmp_path):
     assert cvxshear.history(tmp_path).changes == ()
 
 
-def test_the_command_writes_report_figure_table_and_json(found, folder, tmp_path, capsys):
+def test_the_command_writes_report_figure_table_and_json(found, folder, tmp_path, printed):
     out = {ending: tmp_path / f"h.{ending}" for ending in ("json", "html", "svg", "csv")}
-    with pytest.raises(SystemExit) as ended:
-        main(["history", str(folder), "--json", str(out["json"]), "--report", str(out["html"]),
-              "--figure", str(out["svg"]), "--csv", str(out["csv"])])  # fmt: skip
-    assert ended.value.code == 0
-    said = capsys.readouterr().out
+    said = printed(
+        "history", folder, "--json", out["json"], "--report", out["html"], "--figure", out["svg"], "--csv", out["csv"]
+    )
     written = json.loads(out["json"].read_text())
     assert [each["text"] for each in written["changes"]] == [each.text for each in found.changes]
     page = html.unescape(out["html"].read_text())
@@ -81,17 +78,15 @@ def test_the_command_writes_report_figure_table_and_json(found, folder, tmp_path
     jsonschema.validate(written, json.loads(schema.read_text()))
 
 
-def test_a_broken_file_and_one_with_a_mistake_are_skipped(folder, tmp_path, capsys):
+def test_a_broken_file_and_one_with_a_mistake_are_skipped(folder, tmp_path, run):
     for at in range(6):
         shutil.copy(folder / f"{at:02d}.toml", tmp_path)
     (tmp_path / "02.toml").write_text("[frame]\ntotal_mass = \n")
     swapped = load(folder / "03.toml").to_dict()
     swapped["configuration"][0]["mode_shapes"] = np.array(swapped["configuration"][0]["mode_shapes"])[:, [1, 0, 2, 3]]
     write_measurement(tmp_path / "03.toml", swapped)
-    with pytest.raises(SystemExit) as ended:
-        main(["history", str(tmp_path)])
-    assert ended.value.code == 2
-    said = capsys.readouterr().out
+    status, said, _ = run("history", tmp_path)
+    assert status == 2
     assert "02.toml is not valid TOML" in said
     assert "03.toml: configuration" in said
     assert ", 4 tests: " in said
