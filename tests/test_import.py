@@ -50,6 +50,11 @@ def test_names_of_backends_and_the_closed_form_import_no_solver(statement):
     assert loaded_by(statement).isdisjoint(SLOW)
 
 
+def test_importing_records_and_the_paper_loads_no_plotting_no_reader_and_no_terminal():
+    unwanted = {"matplotlib", "pyuff", "h5py", "pyoma2", "rich", "typer"}
+    assert loaded_by("import cvxshear.records, cvxshear.paper").isdisjoint(unwanted)
+
+
 def test_the_public_names_are_what_their_modules_define():
     assert set(cvxshear.__all__) <= set(dir(cvxshear))
     for name in cvxshear.__all__:

@@ -52,9 +52,7 @@ def test_a_terminal_without_the_letters(named):
 
 
 def shell(command: str) -> tuple[int, str, str]:
-    line = " ".join(
-        [sys.executable, "-W", "error", "-m", "cvxshear", "identify", "paper", "--method", "two-stage", command]
-    )
+    line = " ".join([*COMMAND, "identify", "paper", "--method", "two-stage", command])
     found = subprocess.run(["bash", "-c", f"set -o pipefail; {line}"], capture_output=True, text=True, check=False)
     return found.returncode, found.stdout, found.stderr
 

@@ -79,18 +79,22 @@ def mat73(folder: Path) -> bytes:
 
 
 def universal(folder: Path, *, binary: bool) -> bytes:
+    sound = dict(zip([(node, 1) for node in (9, 1, 2, 3)], columns()[:200].T[1:], strict=True))
+    return write_universal(folder / "sound.uff", sound, 0.05, binary=binary)
+
+
+def write_universal(path: Path, columns: dict, step: float, *, binary: bool = False) -> bytes:
+    """Write data sets 58: real time histories by their nodes and directions."""
     pyuff = pytest.importorskip("pyuff")
-    values = columns()[:200]
-    path = folder / "sound.uff"
     path.unlink(missing_ok=True)
     sets = [
         pyuff.prepare_58(
-            binary=int(binary), func_type=1, rsp_node=node, rsp_dir=1, ref_node=2, ref_dir=1, data=column,
-            x=values[:, 0], id1=f"channel {node}", ver_num=0, load_case_id=0, rsp_ent_name="NONE",
-            ref_ent_name="NONE", abscissa_spacing=1, abscissa_inc=0.05, abscissa_spec_data_type=17,
+            binary=int(binary), func_type=1, rsp_node=node, rsp_dir=direction, ref_node=2, ref_dir=1, data=column,
+            x=step * np.arange(len(column)), id1=f"channel {node}", ver_num=0, load_case_id=0, rsp_ent_name="NONE",
+            ref_ent_name="NONE", abscissa_spacing=1, abscissa_inc=step, abscissa_spec_data_type=17,
             ordinate_spec_data_type=12, orddenom_spec_data_type=0,
         )
-        for node, column in zip((9, 1, 2, 3), values.T[1:], strict=True)
+        for (node, direction), column in columns.items()
     ]  # fmt: skip
     with warnings.catch_warnings():
         # pyuff does not close the file; the garbage collector does.

@@ -1,8 +1,6 @@
 """Test the whole reproduction: counted results, displayed results, and the documentation."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -104,13 +102,6 @@ def test_digits(number, printed, same):
 def test_a_number_of_samples_that_is_none_is_refused():
     with pytest.raises(InputError, match="samples"):
         reproduce(samples=(0,))
-
-
-def test_the_paper_does_not_load_the_terminal():
-    loaded = "[name for name in ('rich', 'typer', 'matplotlib') if name in sys.modules]"
-    code = f"import sys, cvxshear.paper; print({loaded})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def section_of(reproduction, title):

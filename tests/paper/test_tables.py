@@ -5,19 +5,8 @@ import pytest
 from scipy import linalg
 
 from cvxshear import backends, load
-from cvxshear.paper.reproduction import (
-    MISPRINT,
-    MISPRINTED,
-    PRINTED,
-    TO_THE_DIGIT,
-    decimals,
-    exact_sections,
-    noise_sections,
-    same_digits,
-    steel_sections,
-    value,
-    values,
-)
+from cvxshear.paper import reproduction
+from cvxshear.paper.reproduction import PRINTED
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
@@ -31,23 +20,23 @@ def rows(sections, *titles):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_tables_1_and_2_and_the_iterations(backend):
-    found = rows(exact_sections(backend), "Table 1", "Table 2", "Section 5.1: iterations")
+    found = rows(reproduction.exact_sections(backend), "Table 1", "Table 2", "Section 5.1: iterations")
     assert len(found) == 24 + 18 + 2
-    assert {row.verdict for row in found if not row.misprint} == {TO_THE_DIGIT}
+    assert {row.verdict for row in found if not row.misprint} == {reproduction.TO_THE_DIGIT}
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_tables_6_and_7(backend):
-    found = rows(steel_sections(backend), "Table 6", "Table 7")
+    found = rows(reproduction.steel_sections(backend), "Table 6", "Table 7")
     assert len(found) == 18 + 6
-    assert {row.verdict for row in found} == {TO_THE_DIGIT}
+    assert {row.verdict for row in found} == {reproduction.TO_THE_DIGIT}
 
 
 def test_the_misprint_is_named_and_not_imitated():
-    table_1 = next(exact_sections("kkt"))
+    table_1 = next(reproduction.exact_sections("kkt"))
     [row] = [row for row in table_1.rows if row.misprint]
     assert (row.where, row.what) == ("Table 1, Case 1, Ref. [17]", "mass matrix entry (2, 3), kg")
-    assert (row.printed, row.verdict, row.agrees) == ("-0.004", MISPRINTED, False)
+    assert (row.printed, row.verdict, row.agrees) == ("-0.004", reproduction.MISPRINTED, False)
     assert row.recomputed == pytest.approx(0.1129, abs=5e-5)
     [note] = table_1.notes
     assert "Entry (2, 3) of Ref. [17] in Case 1 is a misprint: the paper has -0.004, the formula gives 0.113" in note
@@ -87,7 +76,7 @@ def stiffnesses(phi, M, eigenvalues):
 
 def check_stiffness(method, case, found):
     for number, printed in zip(found / 1e3, PRINTED["table_2"][method][case], strict=True):
-        assert same_digits(number, printed)
+        assert reproduction.same_digits(number, printed)
 
 
 @pytest.mark.parametrize("case", ["1", "2"])
@@ -112,7 +101,7 @@ def test_qi_written_out(case):
     A, B = equations(renormalised(phi, np.diag(start)), start)
     m = start + np.linalg.solve(A.T @ A, A.T @ B)
     for i, number in enumerate(m, 1):
-        assert same_digits(number, PRINTED["table_1"]["qi"][case][f"{i}{i}"])
+        assert reproduction.same_digits(number, PRINTED["table_1"]["qi"][case][f"{i}{i}"])
     check_stiffness("qi", case, stiffnesses(phi, np.diag(m), eigenvalues))
 
 
@@ -128,7 +117,9 @@ def test_berman_written_out(case):
     M = M0 + root @ Y @ root
     for entry, printed in PRINTED["table_1"]["berman"][case].items():
         i, j = int(entry[0]) - 1, int(entry[1]) - 1
-        assert same_digits(M[i, j], "0.113" if ("berman", case, entry) == MISPRINT else printed)
+        assert reproduction.same_digits(
+            M[i, j], "0.113" if ("berman", case, entry) == reproduction.MISPRINT else printed
+        )
     check_stiffness("berman", case, stiffnesses(phi, M, eigenvalues))
 
 
@@ -143,7 +134,7 @@ def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_count
         return NoiseStudy(tuple(scatters), 4, seed, "kkt")
 
     monkeypatch.setattr("cvxshear.paper.reproduction.noise_study", study)
-    means, variations = noise_sections([4], 1)
+    means, variations = reproduction.noise_sections([4], 1)
     chance = deviation * np.sqrt(1 / 100 + 1 / 4)
     for first, printed in enumerate(PRINTED["table_3"].values()):
         mine = means.rows[6 * first : 6 * first + 6]
@@ -159,14 +150,14 @@ def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_count
 
 
 def of(table, name):
-    return values(PRINTED[table][name])
+    return reproduction.values(PRINTED[table][name])
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_net_mass_is_mass_less_counterweight_and_adds_up(name):
     net = of("table_6_net_mass", name)
     np.testing.assert_allclose(of("table_6_mass", name) - of("table_4", name), net, atol=1e-9)
-    assert sum(net) == pytest.approx(value(PRINTED["conclusions"]["total_net_mass"]), abs=1e-9)
+    assert sum(net) == pytest.approx(reproduction.value(PRINTED["conclusions"]["total_net_mass"]), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -178,17 +169,19 @@ def test_table_8_follows_from_tables_5_and_7(name):
 @pytest.mark.parametrize("case", ["1", "2"])
 @pytest.mark.parametrize("method", PRINTED["largest_errors"])
 def test_the_errors_in_the_text_follow_from_tables_1_and_2(method, case):
-    mass = [value(PRINTED["table_1"][method][case][entry]) for entry in ("11", "22", "33")]
-    stiffness = values(PRINTED["table_2"][method][case])
+    mass = [reproduction.value(PRINTED["table_1"][method][case][entry]) for entry in ("11", "22", "33")]
+    stiffness = reproduction.values(PRINTED["table_2"][method][case])
     errors = [np.max(np.abs(mass / MASS - 1)), np.max(np.abs(1e3 * stiffness / STIFFNESS - 1))]
-    np.testing.assert_allclose(100 * np.array(errors), values(PRINTED["largest_errors"][method][case]), atol=5.01e-3)
+    np.testing.assert_allclose(
+        100 * np.array(errors), reproduction.values(PRINTED["largest_errors"][method][case]), atol=5.01e-3
+    )
 
 
 def test_the_differences_between_the_structures():
     for table, key in (("table_6_net_mass", "net_mass"), ("table_6_stiffness", "stiffness")):
         found = np.array([of(table, name) for name in STRUCTURES])
         largest = 100 * np.max(1 - found.min(axis=0) / found.max(axis=0))
-        assert largest == pytest.approx(value(PRINTED["conclusions"][key]), abs=5.01e-3)
+        assert largest == pytest.approx(reproduction.value(PRINTED["conclusions"][key]), abs=5.01e-3)
 
 
 def test_the_initial_masses_add_up_to_the_frames():
@@ -196,8 +189,8 @@ def test_the_initial_masses_add_up_to_the_frames():
 
 
 def test_a_printed_figure_knows_its_decimals():
-    assert [decimals(text) for text in ("10", "7.5", "-0.004", "3.030")] == [0, 1, 3, 3]
-    assert value("about 5") == 5.0
+    assert [reproduction.decimals(text) for text in ("10", "7.5", "-0.004", "3.030")] == [0, 1, 3, 3]
+    assert reproduction.value("about 5") == 5.0
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -215,8 +208,8 @@ def test_the_shapes_of_the_built_in_file_give_table_6(name):
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_table_7_follows_from_table_6_alone(name):
     """Compute the eigenvalues of a two by two matrix."""
-    m1, m2 = values(PRINTED["table_6_mass"][name])
-    k1, k2 = (1e3 * each for each in values(PRINTED["table_6_stiffness"][name]))
+    m1, m2 = reproduction.values(PRINTED["table_6_mass"][name])
+    k1, k2 = (1e3 * each for each in reproduction.values(PRINTED["table_6_stiffness"][name]))
     eigenvalues = linalg.eigh([[k1 + k2, -k2], [-k2, k2]], np.diag([m1, m2]), eigvals_only=True)
-    printed = values(PRINTED["table_7"][name])
+    printed = reproduction.values(PRINTED["table_7"][name])
     np.testing.assert_allclose(np.sqrt(eigenvalues) / (2 * np.pi), printed, atol=5.01e-4)

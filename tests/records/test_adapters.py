@@ -1,8 +1,5 @@
 """Test modes from other programs, and results as plain values."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -85,13 +82,6 @@ def test_covariance_agrees_with_the_stated_deviations(result):
     np.testing.assert_allclose(diagonal[:3], result.frequency_std)
     np.testing.assert_allclose(diagonal[3:].reshape(3, 3), result.mode_shape_std)
     assert np.linalg.eigvalsh(result.covariance).min() > -1e-12 * diagonal.max() ** 2
-
-
-def test_importing_loads_neither_matplotlib_nor_the_optional_readers():
-    unwanted = "('matplotlib', 'pyuff', 'h5py', 'pyoma2')"
-    code = f"import cvxshear.records, sys; print([m for m in {unwanted} if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
 
 
 def test_a_data_frame_with_a_column_of_time_and_samples_that_are_missing():

@@ -14,6 +14,7 @@ from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError
+from tests.fuzz.files import write_universal
 from tests.records.shared import channels, csv
 
 NAMES = ["t", "force", "a1", "a2"]
@@ -42,9 +43,9 @@ def values() -> np.ndarray:
     return np.column_stack([np.arange(300) / 50, random.standard_normal((300, 3))])
 
 
-def record_file(folder, file, more="", channels=CHANNELS):
+def record_file(folder, file, more="", channels=CHANNELS, driven="force"):
     path = folder / "record.toml"
-    path.write_text(f'[record]\ninput = "force"\nfile = "{file}"\n{more}\n{channels}')
+    path.write_text(f'[record]\ninput = "{driven}"\nfile = "{file}"\n{more}\n{channels}')
     return path
 
 
@@ -131,9 +132,7 @@ def test_earthquakes_in_one_file_are_runs(tmp_path, ground, roof):
     else:
         tables = {"a": np.stack(motions, axis=2), "fs": 50.0}
     io.savemat(tmp_path / "quakes.mat", tables)
-    path = tmp_path / "record.toml"
-    path.write_text(f'[record]\ninput = "base"\nfile = "quakes.mat"\n{EARTHQUAKE.format(ground, roof)}')
-    record = read_record(path).record
+    record = read_record(record_file(tmp_path, "quakes.mat", "", EARTHQUAKE.format(ground, roof), "base")).record
     assert record.sampling_rate == pytest.approx(50.0)
     assert len({run.name for run in record.runs}) == 3
     for run, each in zip(record.runs, motions, strict=True):
@@ -142,12 +141,10 @@ def test_earthquakes_in_one_file_are_runs(tmp_path, ground, roof):
 
 def test_an_earthquake_without_a_channel_is_named(tmp_path):
     io.savemat(tmp_path / "quakes.mat", {"eq1": {"g": np.ones(300), "r": np.ones(300)}, "eq2": {"g": np.ones(300)}})
-    path = tmp_path / "record.toml"
-    text = f'[record]\ninput = "base"\nfile = "quakes.mat"\nsampling_rate = 50\n{EARTHQUAKE.format("*.g", "*.r")}'
-    path.write_text(text)
+    path = record_file(tmp_path, "quakes.mat", "sampling_rate = 50", EARTHQUAKE.format("*.g", "*.r"), "base")
     with pytest.raises(InputError, match=r'quakes.mat, eq2: there is no column "eq2.r"'):
         read_record(path)
-    path.write_text(text.replace("*.g", "shake*.g"))
+    path.write_text(path.read_text().replace("*.g", "shake*.g"))
     with pytest.raises(InputError, match=r'has no column "shake\*.g"'):
         read_record(path)
 
@@ -161,10 +158,8 @@ def test_a_ground_that_moves_is_differentiated(tmp_path, unit, times):
     noise = 1e-3 * np.random.default_rng(7).standard_normal(len(time))
     roof = (size * np.exp(1j * (np.outer(time, w) + phases))).sum(axis=1).real
     csv(tmp_path / "record.csv", ["g", "r"], np.column_stack([1000 * moved.sum(axis=1).real + noise, roof]))
-    path = tmp_path / "record.toml"
     channels = EARTHQUAKE.format("g", "r").replace("floor = 0", f'floor = 0\nunit = "{unit}"')
-    path.write_text(f'[record]\ninput = "base"\nfile = "record.csv"\nsampling_rate = 100\n{channels}')
-    found = read_record(path)
+    found = read_record(record_file(tmp_path, "record.csv", "sampling_rate = 100", channels, "base"))
     inner = slice(100, -100)
     np.testing.assert_allclose(found.record.runs[0].excitation[inner], roof[inner], atol=0.05)
     (note,) = found.notes
@@ -192,43 +187,16 @@ def test_mat_that_is_none(tmp_path):
         read_mat(tmp_path / "a.mat")
 
 
-def universal(path, values, kinds, step=0.02):
-    """Write data sets 58 by pyuff: real time histories of nodes 1 and 2 and a force."""
-    pyuff = pytest.importorskip("pyuff")
-    sets = [
-        pyuff.prepare_58(
-            binary=0,
-            func_type=1,
-            rsp_node=node,
-            rsp_dir=direction,
-            ref_node=2,
-            ref_dir=1,
-            data=column,
-            x=np.arange(len(column)) * step,
-            id1=f"channel {node}",
-            ver_num=0,
-            load_case_id=0,
-            rsp_ent_name="NONE",
-            ref_ent_name="NONE",
-            abscissa_spacing=1,
-            abscissa_spec_data_type=17,
-            ordinate_spec_data_type=12,
-            orddenom_spec_data_type=0,
-        )
-        for (node, direction), column in zip(kinds, values.T, strict=True)
-    ]
-    pyuff.UFF(str(path)).write_sets(sets, mode="add")
-
-
 def test_universal_file(tmp_path, values):
-    universal(tmp_path / "a.uff", values[:, 1:], [(9, 1), (1, 1), (2, -1)])
+    columns = dict(zip([(9, 1), (1, 1), (2, -1)], values.T[1:], strict=True))
+    write_universal(tmp_path / "a.uff", columns, 0.02)
     channels = CHANNELS.replace('"force"\nquantity', '"9x"\nquantity').replace('"a2"', '"2x-"').replace('"a1"', '"1x"')
     record = read_record(record_file(tmp_path, "a.uff", channels=channels)).record
     check(record, values)
 
 
 def test_universal_file_of_one_set(tmp_path, values):
-    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    write_universal(tmp_path / "a.uff", {(1, 1): values[:, 2]}, 0.02)
     path = tmp_path / "record.toml"
     path.write_text('[record]\nfile = "a.uff"\n[[channel]]\ncolumn = "1x"\nfloor = 1\n')
     np.testing.assert_allclose(read_record(path).record.runs[0].responses[:, 0], values[:, 2], rtol=1e-5)
@@ -299,7 +267,7 @@ def test_an_unknown_mass_is_said(tmp_path):
 
 @pytest.mark.parametrize("direction", [100, -100])
 def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_path, values, direction):
-    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    write_universal(tmp_path / "a.uff", {(1, 1): values[:, 2]}, 0.02)
     text = (tmp_path / "a.uff").read_text()
     lines = text.splitlines()
     head = lines[7]

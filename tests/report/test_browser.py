@@ -100,6 +100,13 @@ def opened(browser, reports, pages):
         assert len([url for url in asked if url.startswith("file:")]) == 1
 
 
+def assert_fits(page, parts=None):
+    """Assert that the page, and these parts of it, do not run over their edges."""
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    for part in page.query_selector_all(parts) if parts else ():
+        assert part.evaluate("each => each.scrollWidth <= each.clientWidth"), part.get_attribute("aria-label")
+
+
 EVERY = pytest.mark.parametrize("name", ["paper", "eight", "unexplained"])
 
 
@@ -130,9 +137,7 @@ def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name,
         box = drawing.bounding_box()
         assert box["width"] > 50
         assert box["height"] > 50
-    for part in page.query_selector_all(".scroll:has(> .cards)"):
-        assert part.evaluate("each => each.scrollWidth <= each.clientWidth"), part.get_attribute("aria-label")
-    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert_fits(page, ".scroll:has(> .cards)")
 
 
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
@@ -146,12 +151,8 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     drawings = page.query_selector_all(".drawing svg")
     assert len(drawings) == 2
     assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
-    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
-    if viewport is DESKTOP:
-        tables = page.query_selector_all(".scroll")
-        assert len(tables) >= 3
-        for table in tables:
-            assert table.evaluate("each => each.scrollWidth <= each.clientWidth"), table.get_attribute("aria-label")
+    assert len(page.query_selector_all(".scroll")) >= 3
+    assert_fits(page, ".scroll" if viewport is DESKTOP else None)
     page.close()
 
 
@@ -165,12 +166,9 @@ def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, 
         shown, natural = drawing.bounding_box()["width"], float(drawing.get_attribute("width"))
         # The smallest letters have 6.5 points in a drawing of natural width, with 1.4 pixels per point.
         assert 0.85 * natural <= shown <= natural
-    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert_fits(page, ".scroll" if viewport is DESKTOP else None)
     ids = page.evaluate("[...document.querySelectorAll('[id]')].map(each => each.id)")
     assert [each for each in set(ids) if ids.count(each) > 1] == []
-    if viewport is DESKTOP:
-        for table in page.query_selector_all(".scroll"):
-            assert table.evaluate("each => each.scrollWidth <= each.clientWidth")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -229,7 +227,7 @@ def test_the_report_is_whole_without_scripts_and_a_mouse(browser, reports):
 @EVERY
 def test_nothing_is_cut_off_on_paper(opened, name, tmp_path):
     page = opened(name, A4, media="print")
-    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert_fits(page)
     assert not page.is_visible("nav")
     sheet = tmp_path / "report.pdf"
     page.pdf(path=sheet, prefer_css_page_size=True)

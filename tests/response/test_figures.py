@@ -7,24 +7,13 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import backends
+from cvxshear import backends, response
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
 from cvxshear.report.blocks import describe
 from cvxshear.report.figures.style import figures_of
 from cvxshear.report.html import render
-from cvxshear.response import (
-    DampedModel,
-    Fitted,
-    Models,
-    Peaks,
-    Reconstruction,
-    RecordPrediction,
-    predict,
-    reconstruct,
-    response,
-)
 from tests.report.test_figures import assert_readable
 from tests.report.test_html import sways
 from tests.response.common import damped_frame, damped_measurement, declared, matrices, pole_ratios, shaking
@@ -37,15 +26,15 @@ def prediction(request):
     stories = request.param
     M, C, K = matrices(*damped_frame(stories))
     experiment = cvxshear.Experiment.from_dict(damped_measurement(stories))
-    fitted = Fitted.of(efficient(experiment, backends.get("auto")))
+    fitted = response.Fitted.of(efficient(experiment, backends.get("auto")))
     excitation = shaking(800)
     floors = np.arange(1, stories + 1)
-    moved = response(DampedModel(M, C, K, np.ones(stories)), DrivenRun(excitation), 0.01).acceleration
+    moved = response.response(response.DampedModel(M, C, K, np.ones(stories)), DrivenRun(excitation), 0.01).acceleration
     motion = DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=floors)
     with pytest.MonkeyPatch.context() as patch:
         # Skip the sensor checks. The figures of sound sensors do not depend on them.
         patch.setattr("cvxshear.response.recording.whole_pieces", lambda record: [])
-        return predict(Models(fitted, fitted), motion)
+        return response.predict(response.Models(fitted, fitted), motion)
 
 
 @pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
@@ -55,7 +44,7 @@ def test_figures_are_readable(prediction, draw):
 
 def test_figures_without_measured_floors(prediction):
     bare = DrivenRecord((DrivenRun(prediction.motion.runs[0].excitation),), 100.0)
-    found = predict(Models(None, prediction.after.fitted), bare)
+    found = response.predict(response.Models(None, prediction.after.fitted), bare)
     for draw in DRAWN:
         assert_readable(draw(found))
 
@@ -74,12 +63,12 @@ def panel_numbers(drawn):
 def test_the_floor_of_the_largest_peak_is_drawn_and_those_left_out_are_counted(prediction, largest):
     count = len(prediction.after.damped.model.M)
     peak = np.where(np.arange(1, count + 1) == min(largest, count), 9.0, 1.0)
-    peaks = Peaks({**prediction.peaks.values, "floor_acceleration": peak}, prediction.peaks.std)
+    peaks = response.Peaks({**prediction.peaks.values, "floor_acceleration": peak}, prediction.peaks.std)
     found = dataclasses.replace(prediction, peaks=peaks)
     shown = panel_numbers(figures.response_histories(found))
     assert min(largest, count) in shown
     assert shown == sorted(shown, reverse=True)
-    caption = figures_of(RecordPrediction)["history"].caption_of(found)
+    caption = figures_of(response.RecordPrediction)["history"].caption_of(found)
     assert ("not drawn" in caption) == (count > 4)
     assert count <= 4 or f"16 of {count}" in caption
 
@@ -90,17 +79,17 @@ def test_the_story_that_the_headline_names_is_drawn():
     stiffness[2] *= 0.2
     M, C, K = matrices(mass, stiffness, dashpots)
     experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K)))
-    fitted = Fitted.of(efficient(experiment, backends.get("auto")))
+    fitted = response.Fitted.of(efficient(experiment, backends.get("auto")))
     excitation = shaking(800)
-    moved = response(DampedModel(M, C, K, np.ones(5)), DrivenRun(excitation), 0.01).acceleration
+    moved = response.response(response.DampedModel(M, C, K, np.ones(5)), DrivenRun(excitation), 0.01).acceleration
     motion = DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=np.arange(1, 6))
-    found = reconstruct(Models(None, fitted), motion, fit=False, leave_out=False)
+    found = response.reconstruct(response.Models(None, fitted), motion, fit=False, leave_out=False)
     assert describe(found).headline.startswith("Story 3 drifted most: ")
     assert "base motion" in describe(found)["findings"].parts[0].text
     assert panel_numbers(figures.reconstructed_histories(found)) == [5, 4, 3, 1]
-    for entry in figures_of(Reconstruction).values():
+    for entry in figures_of(response.Reconstruction).values():
         assert_readable(entry.draw(found))
-    assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)
+    assert "1 of 5 stories is not drawn" in figures_of(response.Reconstruction)["histories"].caption_of(found)
     page = render(found, "cvxshear reconstruct")
     drawing = re.search(r'<figure id="figure-shaking">(.*?)</figure>', page, re.DOTALL)[1]
     pictures = [sways(each) for each in re.search(r'values="(M.*?)"', drawing)[1].split(";")]

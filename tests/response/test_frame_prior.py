@@ -12,18 +12,7 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import ExpectedEffect
-from cvxshear.response import DampedModel, Fitted
-from cvxshear.response.frame_prior import (
-    FORM_STDS,
-    LEAST_WEIGHT,
-    FrameChange,
-    FramePrior,
-    Gaussian,
-    Likelihood,
-    Linear,
-    modal_rows,
-    possible_answers,
-)
+from cvxshear.response import DampedModel, Fitted, frame_prior
 from cvxshear.response.innovations import Filter
 from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
@@ -32,10 +21,10 @@ from tests.frames import chain
 from tests.response.common import damped_frame, damped_measurement, matrices, pole_ratios
 
 CHANGES = (
-    FrameChange("story", 0, 0.5 * np.eye(5)[:, :1], -2.5),
-    FrameChange("story", 1, 0.5 * np.eye(5)[:, 1:2], -2.5),
-    FrameChange("gain", 0, 0.8 * np.eye(5)[:, 4:], -3.0),
-    FrameChange("masses", 0, np.random.default_rng(1).standard_normal((5, 2)), -2.0),
+    frame_prior.FrameChange("story", 0, 0.5 * np.eye(5)[:, :1], -2.5),
+    frame_prior.FrameChange("story", 1, 0.5 * np.eye(5)[:, 1:2], -2.5),
+    frame_prior.FrameChange("gain", 0, 0.8 * np.eye(5)[:, 4:], -3.0),
+    frame_prior.FrameChange("masses", 0, np.random.default_rng(1).standard_normal((5, 2)), -2.0),
 )
 """Possible changes of a frame with five unknowns."""
 
@@ -43,14 +32,15 @@ CHANGES = (
 def drawn(seed, inflation=1.7):
     """Draw a likelihood of five unknowns and its linearization point."""
     rng = np.random.default_rng(seed)
-    return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
+    U, c = 3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6)
+    return frame_prior.Likelihood(U, c, inflation), rng.standard_normal(5)
 
 
 def gaussian(changed, form_std):
     """Return a prior whose mean, covariance and evidence depend on the deviation of the form."""
     spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + form_std**2 * np.eye(5)
     spread += sum(CHANGES[each].columns @ CHANGES[each].columns.T for each in changed)
-    return Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
+    return frame_prior.Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
 
 
 def log_density(at, p, prior):
@@ -63,14 +53,14 @@ def log_density(at, p, prior):
 @pytest.mark.parametrize("seed", range(3))
 def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
     (at, p), prior = drawn(seed), gaussian((), 0.03)
-    linear = Linear(at, p, prior)
+    linear = frame_prior.Linear(at, p, prior)
     sets = [(), (0, 2), (1, 3)]
     alone, *freed = linear.evidences(CHANGES, sets)
     for found, chosen in zip(freed, sets[1:], strict=True):
         expected = log_density(at, p, gaussian(chosen, 0.03)) - log_density(at, p, prior)
         assert found - alone == pytest.approx(expected)
     other = gaussian((), 0.1)
-    (found,) = Linear(at, p, other).evidences(CHANGES, [()])
+    (found,) = frame_prior.Linear(at, p, other).evidences(CHANGES, [()])
     assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
     mean, covariance = linear.posterior()
     expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)
@@ -81,11 +71,11 @@ def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
 
 def test_a_dashpot_has_no_evidence_where_it_would_be_negative():
     """Two directly measured unknowns, one of each sign."""
-    linear = Linear(Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0), np.zeros(2),
-                    Gaussian(np.zeros(2), 0.01 * np.eye(2), 0.0))  # fmt: skip
+    at, prior = frame_prior.Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0), (np.zeros(2), 0.01 * np.eye(2), 0.0)
+    linear = frame_prior.Linear(at, np.zeros(2), frame_prior.Gaussian(*prior))
     sets = [(), (0,), (1,), (0, 1)]
     either, positive = (
-        linear.evidences([FrameChange(kind, place, np.eye(2)[:, [place]], 0.0) for place in range(2)], sets)
+        linear.evidences([frame_prior.FrameChange(kind, place, np.eye(2)[:, [place]], 0.0) for place in range(2)], sets)
         for kind in ("story", "dashpot")
     )
     assert np.isfinite(positive).tolist() == [True, True, False, False]
@@ -96,16 +86,16 @@ def test_a_dashpot_has_no_evidence_where_it_would_be_negative():
 def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths(seed):
     """All error widths are equally probable."""
     at, p = drawn(seed)
-    found = possible_answers(at, SimpleNamespace(changes=CHANGES, gaussian=gaussian), p)
+    found = frame_prior.possible_answers(at, SimpleNamespace(changes=CHANGES, gaussian=gaussian), p)
     logs = {
         (changed, width): log_density(at, p, gaussian(changed, width)) - 30.0 * width
         + sum(CHANGES[each].log_odds for each in changed)
         for size in range(4)
         for changed in itertools.combinations(range(len(CHANGES)), size)
-        for width in FORM_STDS
+        for width in frame_prior.FORM_STDS
     }  # fmt: skip
     best = max(logs.values())
-    kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(LEAST_WEIGHT)}
+    kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(frame_prior.LEAST_WEIGHT)}
     total = sum(kept.values())
     assert len(found) == len(kept) > 4
     for each in found:
@@ -237,7 +227,7 @@ def uncertain():
 def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
     """For each unknown, an eigenvalue problem gives the change of frequencies and shapes."""
     frame = VariedFrame.around(uncertain)
-    J, data = modal_rows(uncertain, frame)
+    J, data = frame_prior.modal_rows(uncertain, frame)
     N, D, W, X = frame.sizes
     assert (N, W > 0, X) == (3, True, 6)
     assert J.shape == (len(data), N + W + X)
@@ -256,7 +246,7 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
 def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncertain):
     """The unknowns are numbers w times columns; the modes measure some of them with errors of one."""
     frame = VariedFrame.around(uncertain, [1, 3])
-    prior = FramePrior.around(uncertain, frame, 6)
+    prior = frame_prior.FramePrior.around(uncertain, frame, 6)
     (N, D, W, X), size = frame.sizes, sum(frame.sizes)
     form_std, changed = 0.03, (1, 3, 6)
     assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
@@ -295,7 +285,7 @@ def test_the_prior_has_what_the_catalogue_or_the_file_expects_of_a_story(uncerta
         one = ExpectedEffect("story_change", size=0.9, probability=0.1, story=2)
         experiment = replace(uncertain.fitted.experiment, expected=(one, ExpectedEffect(**said)))
         uncertain = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
-    found = FramePrior.around(uncertain, VariedFrame.around(uncertain), 4)
+    found = frame_prior.FramePrior.around(uncertain, VariedFrame.around(uncertain), 4)
     stories = [each for each in found.changes if each.kind == "story"]
     assert [each.place for each in stories] == [0, 1, 2]
     for each in stories:

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from cvxshear.records.motion import band_limited
 from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, response
 from cvxshear.response.predicted import peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.util.errors import InputError
-from tests.response.common import damped_frame, integrated, matrices, shaking, state_space
+from tests.response.common import damped_frame, integrated, matrices, shaking
 
 STEP = 0.01
 
@@ -18,25 +17,15 @@ def model_of(stories, **options):
     return DampedModel(*matrices(*damped_frame(stories, **options)), np.ones(stories), np.full(stories, 3.0))
 
 
-@pytest.mark.parametrize("stories", [3, 8, 20])
-@pytest.mark.parametrize("forced", [False, True])
-def test_response_equals_an_independent_integration(stories, forced):
-    of, excitation, floor = model_of(stories), shaking(120, STEP), stories if forced else 0
+@pytest.mark.parametrize(("stories", "ratio"), [(3, 0.08), (3, 3.0), (8, 0.08), (20, 0.08)])
+@pytest.mark.parametrize("floor", [0, 2])
+def test_response_equals_an_independent_integration(stories, ratio, floor):
+    """Dashpots of a ratio of 3 overdamp the upper modes."""
+    of, excitation = model_of(stories, ratio=ratio), shaking(120, STEP)
     total, moved = integrated(of.M, of.C, of.K, excitation, STEP, floor)
     found = response(of, DrivenRun(excitation, floor), STEP)
     np.testing.assert_allclose(found.acceleration, total, atol=1e-8 * np.abs(total).max())
     np.testing.assert_allclose(found.displacement, moved, atol=1e-8 * np.abs(moved).max())
-
-
-def test_modes_that_do_not_swing():
-    """Strong proportional dashpots overdamp the upper modes."""
-    mass, stiffness, _ = damped_frame(3)
-    of = DampedModel(*matrices(mass, stiffness, 0.05 * stiffness), np.ones(3))
-    excitation = shaking(100, STEP)
-    total, _ = integrated(of.M, of.C, of.K, excitation, STEP)
-    np.testing.assert_allclose(
-        response(of, DrivenRun(excitation), STEP).acceleration, total, atol=1e-8 * np.abs(total).max()
-    )
 
 
 def test_one_mass_under_a_ramp():
@@ -100,18 +89,6 @@ def test_forces_are_in_equilibrium():
     by_force = response(of, DrivenRun(excitation, floor=2), STEP)
     above = -by_force.acceleration[:, 2:] @ np.diag(of.M)[2:]
     np.testing.assert_allclose(by_force.story_shear[:, 2], above, atol=1e-10)
-
-
-def test_the_state_space_form_is_the_same_frame():
-    of, excitation = model_of(5), shaking(200, STEP)
-    A, B, C, D = state_space(of.M, of.C, of.K)
-    time = STEP * np.arange(len(excitation))
-    for floor in (0, 3):
-        inputs = np.zeros((len(time), 6))
-        inputs[:, floor] = excitation
-        _, expected, _ = signal.lsim((A, B, C, D), inputs, time)
-        found = response(of, DrivenRun(excitation, floor), STEP).acceleration
-        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_excitations_that_cannot_be_right():

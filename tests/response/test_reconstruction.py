@@ -26,7 +26,7 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import chain
-from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking, straight
+from tests.response.common import damped_frame, damped_measurement, declared, matrices, shaking, straight
 from tests.studies import reconstruction as study
 
 STEP = 0.01
@@ -199,12 +199,9 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     """The force is not linear between its samples; one sensor has no data from sample `gap`; the sensors are late."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
-    rng = np.random.default_rng(1)
-    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K), rng=rng))
-    solver = backends.get("auto")
-    frame = UncertainFrame.of(
-        Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver
-    )  # fmt: skip
+    rng, solver = np.random.default_rng(1), backends.get("auto")
+    experiment = cvxshear.Experiment.from_dict(damped_measurement(3, rng=rng))
+    frame = UncertainFrame.of(Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver)
     excitation = shaking(500, STEP) * (5.0 if force_floor else 1.0)
     drive = DrivenRun(excitation, force_floor, between=band_limited(excitation))
     both = np.column_stack([drive.between, excitation])
@@ -296,14 +293,6 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
     assert float(late[1]) == pytest.approx(5.0, abs=0.5)
 
 
-def reversed_one(y):
-    return y * [1.0, -1.0]
-
-
-def in_g(y):
-    return y / [9.80665, 1.0]
-
-
 def late_by_three_samples(y):
     y[3:, 1] = y[:-3, 1]
     return y
@@ -312,8 +301,8 @@ def late_by_three_samples(y):
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        (reversed_one, r'channel "floor 3" \(floor 3\) is reversed: .*; turned round'),
-        (in_g, r"floor 1 looks like g, the others like m/s2"),
+        (lambda y: y * [1.0, -1.0], r'channel "floor 3" \(floor 3\) is reversed: .*; turned round'),
+        (lambda y: y / [9.80665, 1.0], r"floor 1 looks like g, the others like m/s2"),
         (late_by_three_samples, r'the clock of "floor 3" is (29|30).\d+ ms late .*; taken out'),
         (lambda y: y, None),
     ],
@@ -370,12 +359,17 @@ def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     np.testing.assert_allclose(as_predicted(model, several).runs[0].measured, several.runs[0].measured)
 
 
+def around(softened):
+    """Return the motion of the identified frame around its record."""
+    models, *_, found = softened
+    frame = UncertainFrame.of(models.after, found.configuration, None, backends.get("auto"))
+    return FrameMotion.around(frame, found.recording, free=True)
+
+
 def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
     """With form errors of the frame's own size, a frame one standard deviation away has no modes."""
     fitted = softened[-1].frame
-    work = FrameMotion.around(UncertainFrame.of(
-        softened[0].after, softened[-1].configuration, None, backends.get("auto")
-    ), softened[-1].recording, free=True)  # fmt: skip
+    work = around(softened)
     wide = dataclasses.replace(fitted, covariance=4.0 * np.eye(len(fitted.p)))
     directions, _ = work.directions(wide)
     assert any(further > 1 for _, _, further in directions)
@@ -385,10 +379,7 @@ def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
 
 def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softened):
     """A deviation is a small difference of two long motions; rounding must not dominate it."""
-    fitted, recording, backend = softened[-1].frame, softened[-1].recording, backends.get("auto")
-    work = FrameMotion.around(
-        UncertainFrame.of(softened[0].after, softened[-1].configuration, None, backend), recording, free=True
-    )
+    fitted, recording, work = softened[-1].frame, softened[-1].recording, around(softened)
     noise, (smoothed,) = fitted.errors.noise_at(fitted.p), work.smoothed(fitted.errors, fitted.p)
     far, near = (
         np.abs(work.moved_by(sides, noise, recording.runs[0], smoothed))
@@ -458,22 +449,20 @@ def test_a_fit_that_fails_leaves_the_frame_as_identified(softened, monkeypatch):
     drive = dataclasses.replace(drive, excitation=drive.excitation[:600], responses=drive.responses[:600])
     motion = dataclasses.replace(motion, runs=(drive,))
 
-    def failing(work, *, detrend):
-        if work.free:
+    failing = {True}
+
+    def fitted(work, *, detrend):
+        if work.free in failing:
             raise np.linalg.LinAlgError("Eigenvalues did not converge")
         return fit(work, detrend=detrend)
 
-    monkeypatch.setattr(FrameMotion, "fitted", failing)
+    monkeypatch.setattr(FrameMotion, "fitted", fitted)
     found = reconstruct(models, motion, leave_out=False)
     assert (found.fallback, found.frame_fitted) == ("the fit of the frame failed", False)
     assert found.warnings[-1].startswith("the fit of the frame failed: the motion is that of the identified frame")
-    monkeypatch.setattr(FrameMotion, "fitted", failing_always)
+    failing.add(False)
     with pytest.raises(UnsuitableError, match="no motion of this frame comes near the record"):
         reconstruct(models, motion, leave_out=False)
-
-
-def failing_always(work, *, detrend):
-    raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 
 def test_a_damper_in_one_story_is_named_and_moves_no_drift():
@@ -566,12 +555,6 @@ def test_limits_pass_through_a_dict():
     assert again.limits.to_dict() == experiment.limits.to_dict()
 
 
-def test_records_that_cannot_be_reconstructed_are_refused():
-    y = np.zeros((200, 1))
-    with pytest.raises(InputError, match="the channel on floor 2 shows no motion"):
-        recording_of(DrivenRecord((DrivenRun(shaking(200), responses=y),), 100.0, floors=np.array([2])))
-
-
 def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
     """Linear interpolation at intervals h loses (pi f h)^2 / 3 of a sine: 8e-5 at 200 samples per period."""
     mass, stiffness, dashpots = damped_frame(2)
@@ -588,6 +571,9 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
             reconstruct(experiment, recorded(still))
     with pytest.raises(InputError, match="run 1: the input channel is zero throughout"):
         reconstruct(experiment, recorded(np.zeros(400)))
+    still = DrivenRun(shaking(200), responses=np.zeros((200, 1)))
+    with pytest.raises(InputError, match="the channel on floor 2 shows no motion"):
+        recording_of(DrivenRecord((still,), 100.0, floors=np.array([2])))
     bare = DrivenRecord((DrivenRun(slow),), 1 / STEP)
     with pytest.raises(InputError, match="no floor's acceleration was recorded"):
         reconstruct(experiment, bare)
