@@ -130,9 +130,13 @@ def test_motions_that_no_sensor_sees_keep_their_prior_odds():
     test = {"frequencies": np.sqrt(values) / (2 * np.pi), "mode_shapes": shapes, "sensors": sensors}
     test |= {"mode_shape_std": 0.01, "frequency_std": 0.002}
     declared = {"motions": ["x", "y", "rotation"], "total_mass": float(frame.floor_mass.sum())}
-    result = cvxshear.close_loop({"frame": declared, "configuration": [test]})
+    seldom = {"name": "eccentric_stiffness", "probability": 0.01}
+    result = cvxshear.close_loop({"frame": declared, "configuration": [test], "effect": [seldom]})
     assert not result.effects
     assert result.frame.unseen == ("y", "rotation")
+    (of_all,) = [each.prior for each in result.candidates if each.placed.label == "eccentric stiffness in x"]
+    # All stories count as three of the twelve places in x and y.
+    assert of_all == pytest.approx(1.0 - 0.99**0.25)
     by_prior = [each for each in result.candidates if each.placed.effect.name.startswith("eccentric")]
     assert all(0.5 * each.prior < each.probability <= 1.01 * each.prior for each in by_prior)
     np.testing.assert_allclose(result.frame.floor_mass, frame.floor_mass, rtol=0.05)
