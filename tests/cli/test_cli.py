@@ -33,8 +33,7 @@ def test_identify_prints_the_papers_answer(printed):
 
 
 def test_json_stands_alone_on_standard_output(printed):
-    out = printed("identify", THREE, "--initial-mass", "9.5,7.5,5.5", "--json", "-")
-    result = json.loads(out)
+    result = json.loads(printed("identify", THREE, "--initial-mass", "9.5,7.5,5.5", "--json", "-"))
     assert set(result) >= {"method", "backend", "converged", "iterations", "frame", "fit", "predictions", "history"}
     # An initial mass means the paper's method.
     assert (result["method"], result["iterations"]) == ("two-stage", 14)
@@ -160,8 +159,7 @@ def test_json_says_where_it_comes_from(printed, tmp_path, monkeypatch):
     path.write_bytes((EXAMPLES / "three_story.toml").read_bytes())
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     for command in (["identify"], ["check"], ["backends", "--names", "kkt"], ["plan"]):
-        out = printed(command[0], path, *command[1:], "--json", "-")
-        said = json.loads(out)["about"]
+        said = json.loads(printed(command[0], path, *command[1:], "--json", "-"))["about"]
         assert (said["cvxshear"], said["date"]) == (cvxshear.__version__, "2023-11-14T22:13:20+00:00")
         assert said["sha256"] == digest
         assert said["files"] == [{"name": str(path), "sha256": digest}]

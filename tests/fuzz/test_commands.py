@@ -8,7 +8,6 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, seed, settings
 from hypothesis import strategies as st
 
-from cvxshear.cli import main
 from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError
 from tests.fuzz import files
@@ -42,19 +41,15 @@ def numbers(value):
         yield value
 
 
-def run(capsys, *arguments: str) -> int:
-    """Return the status of a command after checking its printed text."""
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments, "--json", "-"])
-    status, shown = stopped.value.code, capsys.readouterr()
+def assert_sound(status, out, err):
+    """Assert that a command ended with finite numbers in JSON or with a message of one line."""
     assert status in (0, 1, 2)
     if status == 0:
-        assert all(math.isfinite(each) for each in numbers(json.loads(shown.out)))
-        assert not shown.err
+        assert all(math.isfinite(each) for each in numbers(json.loads(out)))
+        assert not err
     else:
-        assert shown.err.startswith("cvxshear: ")
-        assert shown.err.count("\n") == 1
-    return status
+        assert err.startswith("cvxshear: ")
+        assert err.count("\n") == 1
 
 
 def with_value(content: bytes, place: float, value: float) -> bytes:
@@ -71,7 +66,7 @@ CHANGES = st.lists(st.tuples(PLACES, st.sampled_from(VALUES)), min_size=1, max_s
 
 
 @pytest.mark.parametrize("command", ["identify", "loop"])
-def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budget, tmp_path, capsys):
+def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budget, tmp_path, run):
     path = tmp_path / "x.toml"
     options = {"identify": [["--method", each] for each in ("efficient", "two-stage", "one-shot", "berman", "qi")]}
     choices = options.get(command, [["--effects", "ground_spring,story_change"], []])
@@ -88,12 +83,12 @@ def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budge
             load(path)
         except CvxshearError:
             assume(False)
-        run(capsys, command, str(path), *chosen)
+        assert_sound(*run(command, path, *chosen, "--json", "-"))
 
     check()
 
 
-def test_a_record_that_is_read_has_modes_or_is_refused(fuzz_budget, tmp_path, capsys):
+def test_a_record_that_is_read_has_modes_or_is_refused(fuzz_budget, tmp_path, run):
     path = tmp_path / "x.toml"
     sound = files.columns()
     kinds = ("constant", "huge", "tiny", "spike", "step", "repeat", "zeros", "copy", "integers")
@@ -109,7 +104,7 @@ def test_a_record_that_is_read_has_modes_or_is_refused(fuzz_budget, tmp_path, ca
             values[:, place] = _spoilt(values[:, place], kind, share, values[:, 1 + place % 4])
         csv(tmp_path / "x.csv", ["t", "ground", "a1", "a2", "a3"], values)
         path.write_text(files.record_text("x.csv").replace("base", driven))
-        run(capsys, "modes", str(path), "--method", method, "--quiet")
+        assert_sound(*run("modes", path, "--method", method, "--quiet", "--json", "-"))
 
     check()
 

@@ -55,7 +55,8 @@ def test_a_text_of_40_mb_is_refused_by_its_size(tmp_path):
 
 @pytest.mark.parametrize("cell", ["1e300", "-1e300", "inf", "1_000", "0x10", '"1" x'])
 def test_a_cell_that_is_no_measurement(cell, tmp_path):
-    path = files.table(tmp_path) and tmp_path / "sound.csv"
+    files.table(tmp_path)
+    path = tmp_path / "sound.csv"
     lines = path.read_text().splitlines()
     lines[10] = ",".join([*lines[10].split(",")[:4], cell])
     path.write_text("\n".join(lines))
@@ -89,7 +90,7 @@ HEADS = {
 
 @pytest.mark.parametrize("head", HEADS)
 def test_a_record_header_of_the_wrong_kind(head, tmp_path):
-    csv = files.table(tmp_path)
+    files.table(tmp_path)
     text = files.record_text("sound.csv", more="" if head.startswith("file") else head)
     if head.startswith("file"):
         text = text.replace('file = "sound.csv"', head)
@@ -97,7 +98,6 @@ def test_a_record_header_of_the_wrong_kind(head, tmp_path):
         text = text.replace('"base"', '"force"').replace("floor = 0", 'quantity = "force"')
     path = tmp_path / "record.toml"
     path.write_text(text)
-    assert csv
     with pytest.raises(InputError) as caught:
         read_record(path)
     assert HEADS[head] in str(caught.value)

@@ -98,13 +98,15 @@ def test_a_universal_file(tmp_path):
     np.testing.assert_allclose(experiment.configurations[0].damping_ratios, [0.01, 0.02])
 
 
-@pytest.mark.parametrize("write", [write_csv, write_xlsx])
-def test_modes_out_and_in_again(tmp_path, write):
+WRITERS = {"csv": write_csv, "xlsx": write_xlsx}
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_modes_out_and_in_again(tmp_path, ending):
     pytest.importorskip("openpyxl")
     given = {"damping_ratios": [0.01, 0.02], "frequency_std": [0.001, 0.003], "mode_shape_std": 0.01}
     modes = from_arrays(FREQUENCIES, SHAPES, **given)
-    ending = "csv" if write is write_csv else "xlsx"
-    write(tmp_path / f"modes.{ending}", sheets_of(modes))
+    WRITERS[ending](tmp_path / f"modes.{ending}", sheets_of(modes))
     experiment = cvxshear.load(measurement(tmp_path, f'{ending} = "modes.{ending}"'))
     check(experiment)
     np.testing.assert_allclose(experiment.configurations[0].frequency_std, [0.001, 0.003])
@@ -155,16 +157,16 @@ def test_a_new_file_from_a_table(tmp_path):
         template_from(tmp_path / "modes.doc")
 
 
-@pytest.mark.parametrize("write", [write_csv, write_xlsx])
-def test_the_scale_goes_out_and_comes_in(tmp_path, write):
+@pytest.mark.parametrize("ending", WRITERS)
+def test_the_scale_goes_out_and_comes_in(tmp_path, ending):
     """Mass-normalized modes give the masses of the original frame, without a declared total."""
     pytest.importorskip("openpyxl")
     masses, stiffnesses = np.array([12.7, 18.6]), np.array([26e3, 25e3])
     stiffness = np.array([[stiffnesses.sum(), -stiffnesses[1]], [-stiffnesses[1], stiffnesses[1]]])
     squares, shapes = linalg.eigh(stiffness, np.diag(masses))
     modes = from_arrays(np.sqrt(squares) / (2 * np.pi), shapes.T, mass_normalized=True, mode_shape_std=0.02)
-    table = tmp_path / f"modes.{'csv' if write is write_csv else 'xlsx'}"
-    write(table, sheets_of(modes))
+    table = tmp_path / f"modes.{ending}"
+    WRITERS[ending](table, sheets_of(modes))
     path = tmp_path / "new.toml"
     path.write_text(template_from(table, tmp_path))
     experiment = cvxshear.load(path)

@@ -245,19 +245,21 @@ def test_the_command_prints_what_no_test_of_the_grid_can_beat(file, printed):
     assert "no tests with the largest added mass or half of it" in said
 
 
+def three_equal(path, frame):
+    """Write three equal floors on equal stories: frequencies 2 sin((2 r - 1) pi / 14) sqrt(k / m), shapes are sines."""
+    angles = np.pi / 14 * np.array([2, 6, 10])
+    frequencies, shapes = 5 * np.sin(angles / 2), np.sin(np.outer(angles, [1, 2, 3]))
+    modes = f"frequencies = {frequencies.tolist()}\nmode_shapes = {shapes.tolist()}"
+    path.write_text(f"[frame]\n{frame}\n[[configuration]]\n{modes}\n")
+    return path
+
+
 @pytest.mark.parametrize("fresh", [False, True])
 def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan(fresh, tmp_path):
     """Modes determine masses up to one factor: each mass has the uncertainty of the total and of its share."""
-    angles = np.pi / 14 * np.array([2, 6, 10])
-    shapes = np.sin(angles[:, None] * [1, 2, 3])
-    declared = (
-        "[frame]\ntotal_mass = 30.0\n{}\n[[configuration]]\n"
-        f"frequencies = {(5 * np.sin(angles / 2)).tolist()}\nmode_shapes = {shapes.tolist()}\n"
-    )
     std = []
     for name, line in (("exact", ""), ("vague", "total_mass_std = 0.1")):
-        (tmp_path / f"{name}.toml").write_text(declared.format(line))
-        planned = plan(tmp_path / f"{name}.toml", sensors=3, fresh=fresh)
+        planned = plan(three_equal(tmp_path / f"{name}.toml", f"total_mass = 30.0\n{line}"), sensors=3, fresh=fresh)
         assert ("Most would help: weigh the frame" in str(planned)) == (name == "vague")
         found = planned.to_dict()
         std.append(np.array(found["std"]["floor_mass"]) / found["frame"]["floor_mass"])
@@ -265,17 +267,11 @@ def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan
 
 
 def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, printed):
-    """Three equal floors on equal stories: frequencies 2 sin((2 r - 1) pi / 14) sqrt(k / m), shapes are sines."""
-    angles = np.pi / 14 * np.array([2, 6, 10])
-    shapes = np.sin(angles[:, None] * [1, 2, 3])
-    (tmp_path / "modes.toml").write_text(
-        "[frame]\ntotal_mass = 1.0\ntotal_mass_placeholder = true\n[[configuration]]\n"
-        f"frequencies = {(5 * np.sin(angles / 2)).tolist()}\nmode_shapes = {shapes.tolist()}\n"
-    )
-    said = printed("plan", tmp_path / "modes.toml", "--sensors", "2")
+    path = three_equal(tmp_path / "modes.toml", "total_mass = 1.0\ntotal_mass_placeholder = true")
+    said = printed("plan", path, "--sensors", "2")
     assert "mass, of the total" in said
     assert "mass, kg  std of mass" not in said
-    found = plan(tmp_path / "modes.toml", sensors=2)
+    found = plan(path, sensors=2)
     np.testing.assert_allclose(found.model.design.floor_mass, 1 / 3, rtol=1e-3)
 
 

@@ -50,8 +50,7 @@ def test_modes_are_printed_and_written(record, tmp_path, printed):
 
 
 def test_the_loop_takes_a_record(record, printed):
-    out = printed("loop", record, "--effects", "ground_spring", "--json", "-")
-    result = json.loads(out)
+    result = json.loads(printed("loop", record, "--effects", "ground_spring", "--json", "-"))
     assert len(result["modes"]["frequencies"]) == 3
     np.testing.assert_allclose(result["frame"]["floor_mass"], MASS, rtol=0.03)
 

@@ -44,8 +44,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_predict_beside_the_record(folder, printed):
-    out = printed("predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
-    said = json.loads(out)
+    said = json.loads(printed("predict", "frame.toml", "--record", "shaken.toml", "--json", "-"))
     assert {"before", "after", "peaks", "damping", "remarks"} <= set(said)
     assert set(said["after"]) == {"floors", "nrmse", "rms_ratio", "peak_ratio", "frf_error"}
     assert said["after"]["floors"] == [1, 2, 3]
@@ -65,8 +64,7 @@ def test_predict_for_people(folder, printed):
 
 
 def test_a_ground_motion_alone_is_enough(folder, run, printed):
-    out = printed("predict", "frame.toml", "--record", "ground.toml", "--json", "-")
-    said = json.loads(out)
+    said = json.loads(printed("predict", "frame.toml", "--record", "ground.toml", "--json", "-"))
     assert said["after"] is None
     assert any("no accelerations of floors" in remark for remark in said["remarks"])
     _, whole, _ = run("predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
@@ -156,15 +154,14 @@ def test_the_prediction_is_printed_where_a_file_cannot_be_written_after_all(fold
 
 def test_a_record_as_the_model_is_that_of_its_modes(folder, printed):
     """The command also examines the record for mistakes. The function does not; both give the same prediction."""
-    out = printed("predict", "shaken.toml", "--record", "shaken.toml", "--json", "-")
-    said = json.loads(out)
+    said = json.loads(printed("predict", "shaken.toml", "--record", "shaken.toml", "--json", "-"))
     assert [each["name"] for each in said.pop("warnings")] == ["total_mass"]
     assert any("have no scale" in remark for remark in said["remarks"])
     assert said.pop("about")["files"]
     assert said == json.loads(json.dumps(predict("shaken.toml", "shaken.toml").to_dict()))
 
 
-def test_a_mistake_is_refused_before_anything_is_predicted(folder, run, monkeypatch):
+def test_a_mistake_is_refused_before_anything_is_predicted(folder, refused, monkeypatch):
     path = folder / "frame.toml"
     declared = cvxshear.load(path).to_dict()
     for row in declared["configuration"][0]["mode_shapes"]:
@@ -172,8 +169,7 @@ def test_a_mistake_is_refused_before_anything_is_predicted(folder, run, monkeypa
     write_measurement(path, declared)
     with monkeypatch.context() as patched:
         patched.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
-        status, out, err = run("predict", "frame.toml", "--record", "shaken.toml")
-    assert (status, out) == (2, "")
+        err = refused("predict", "frame.toml", "--record", "shaken.toml")
     assert "To mend it:" in err
     assert "[frame] accept = [" in err
 

@@ -21,10 +21,9 @@ def swapped(tmp_path):
     return tmp_path / "swapped.toml", word
 
 
-def test_nothing_looks_wrong_with_the_paper(run):
-    status, out, err = run("check", "paper")
-    assert (status, out, err) == (0, "paper: nothing looks wrong\n", "")
-    said = json.loads(run("check", "paper", "--json", "-")[1])
+def test_nothing_looks_wrong_with_the_paper(printed):
+    assert printed("check", "paper") == "paper: nothing looks wrong\n"
+    said = json.loads(printed("check", "paper", "--json", "-"))
     about = said.pop("about")
     assert said == {"name": "paper", "refused": False, "doubtful": False, "findings": [], "record": []}
     assert (about["cvxshear"], [file["name"] for file in about["files"]]) == (cvxshear.__version__, ["paper"])
