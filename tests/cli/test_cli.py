@@ -41,7 +41,7 @@ def test_json_stands_alone_on_standard_output(printed):
 
 
 def test_floors_that_turn_are_identified(printed):
-    """The expected masses are those of the frame behind the example, in its theory page."""
+    """The theory page of the example has the expected masses."""
     frame = json.loads(printed("identify", EXAMPLES / "turning_floors.toml", "--json", "-"))["frame"]
     np.testing.assert_allclose(frame["floor_mass"], [42e3, 36e3, 30e3], rtol=0.01)
 

@@ -1,6 +1,6 @@
 """Run the blocks and commands of pages: `python runner.py FOLDER PAGE ...` prints a JSON object of their outputs.
 
-The pages run in a copy of FOLDER with the measured data as data/; what a page registers stays in this process.
+The pages run in a copy of FOLDER with the measured data as data/. Effects that a page registers stay here.
 """
 
 import ast

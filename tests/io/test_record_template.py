@@ -146,7 +146,7 @@ def test_a_date_and_a_time_in_a_workbook(values, begin, tmp_path):
 
 @pytest.mark.parametrize(("header", "form"), [("time_s", "{:.4g}"), ("T_ms", "{:.4g}"), ("stamp no", "{:.4g}")])
 def test_a_column_of_time_with_few_digits(header, form, values, printed, tmp_path):
-    """Stamps have four significant digits, like those of a logger's printf."""
+    """Stamps have four significant digits, as a logger prints them."""
     factor = 1e3 if header == "T_ms" else 1.0
     stamps = [form.format(factor * 0.05 * place) for place in range(len(values))]
     body = "\n".join(

@@ -80,7 +80,7 @@ def modal_data(setup, theta):
     drift = np.eye(n) - np.eye(n, k=-1)
     eigenvalues, vectors = np.linalg.eigh((drift.T * theta[n:]) @ drift / np.outer(root, root))
     shapes = vectors / root[:, None]
-    # The largest entry of a mode keeps its sign over a step of the differences.
+    # The largest entry of a mode has one sign over a step of the differences.
     shapes = shapes * np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
     which = setup.modes - 1
     return 0.5 * np.log(eigenvalues[which]), shapes[np.ix_(setup.measured_floors - 1, which)].T

@@ -124,7 +124,7 @@ def test_berman_written_out(case):
 
 
 def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_counted(monkeypatch):
-    """Of the errors b + s, b - s, b + s, b - s the mean is b and the standard deviation s sqrt(4 / 3)."""
+    """The errors b + s, b - s, b + s, b - s have the mean b and the standard deviation s sqrt(4 / 3)."""
     shift, spread = np.array([4e-3, 5e-4, -2e-3, 0.0, 1e-3, -7e-4]), np.linspace(1e-3, 6e-3, 6)
     deviation = 100 * spread * np.sqrt(4 / 3)
 

@@ -210,7 +210,7 @@ def test_deviations_are_those_of_the_frames_that_are_possible():
 
 
 def test_other_frames_that_will_fit_are_listed_with_the_test_that_tells_them_apart():
-    """Frequencies of three floors of 5.36 kg fit 52.5/57.6/66.1 and 155.3/31.8/40.6 kN/m; shapes tell them apart."""
+    """Frequencies of three floors of 5.36 kg fit 52.5/57.6/66.1 and 155.3/31.8/40.6 kN/m; shapes distinguish them."""
     of = design([5.36] * 3, [52.5e3, 57.6e3, 66.1e3], stiffness_std=2.0, frame={"floor_masses": [5.36] * 3})
     alone = plan(of, sensors=1, modes=3)
     (other,) = alone.other_frames.frames

@@ -72,7 +72,7 @@ def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():
     explained = less(future, future_inputs) - less(less(future, future_inputs), less(past, future_inputs))
     factor = SubspaceSource(pieces, 50.0, rows=4).factor()
     np.testing.assert_allclose(factor @ factor.T, explained.T @ explained, atol=1e-8)
-    # Of the largest variance 1e-4 is added to the covariance of the future, whose weight gives the columns their order.
+    # The covariance of the future, with 1e-4 of its largest variance added, gives the weight that orders the columns.
     left = less(future, future_inputs)
     lift = 1e-4 * np.diag(left.T @ left).max() * np.eye(left.shape[1])
     sizes = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(left.T @ left + lift), factor), axis=0)

@@ -179,7 +179,7 @@ def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
 
 
 def test_what_follows_the_strength_of_the_motion_is_no_scatter():
-    """Pieces of one mean have its scatter; those of a straight line over the logarithm of their energy have none."""
+    """Pieces of one mean scatter; pieces on a straight line over the logarithm of their energy do not."""
     random = np.random.default_rng(2)
     energies = np.exp(random.uniform(-2.0, 2.0, 20))
     of_pieces = np.column_stack([1.0 - 0.03 * np.log(energies), random.standard_normal(20)])

@@ -105,7 +105,7 @@ def test_headings_descend_one_at_a_time_and_images_have_words(page):
     assert levels.count(1) == 1
     assert np.diff(levels).max() == 1
     drawings = [attributes for _, attributes in page.attributes if attributes.get("role") == "img"]
-    # Without effects, the picture of the verdict is that of the frame.
+    # Without effects, the verdict has the picture of the frame.
     assert len(drawings) == 4
     assert all(attributes["aria-label"].strip() for attributes in drawings)
     hidden = [attributes for tag, attributes in page.attributes if tag == "svg" and attributes.get("role") != "img"]
@@ -211,7 +211,7 @@ def test_what_gravity_takes_from_the_stories_of_each_state(paper):
     for cell, added in zip(lowest[2:], (22.1, 50.1, 77.1), strict=True):
         load = 1.2 * 9.81 * (mass.sum() + added) / 0.39
         left, change = cell.removesuffix(" %)").split(" (")
-        # The change is that of the verdict's set, the value that it starts from the averaged one.
+        # The change belongs to the verdict's set; it starts from the averaged value.
         assert float(left) == pytest.approx(averaged * (1 - load / stiffness) / 1e3, rel=1e-4)
         value, std = map(float, change.split(" ± "))
         assert value == pytest.approx(-100 * load / stiffness, rel=2e-3)

@@ -187,7 +187,7 @@ def test_a_record_is_cut_and_does_without_channels():
 
 @pytest.mark.parametrize("driven", ["base", "force"])
 def test_records_and_motions_are_read_alike(monkeypatch, driven):
-    """The sensors of a record without a long stretch are not examined, which is said."""
+    """A record without a long stretch has sensors that were not examined, and a remark."""
     monkeypatch.setattr("cvxshear.response.recording.whole_pieces", lambda record: [])
     rng = np.random.default_rng(6)
     y, drive = rng.standard_normal((200, 2)), rng.standard_normal(200)

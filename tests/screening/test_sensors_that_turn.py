@@ -70,7 +70,7 @@ def test_exchanged_sensors_are_named():
 
 
 def test_turning_joints_are_no_mistake_of_a_sensor():
-    """In the benchmark with 120 degrees of freedom, chi-square is large for any sensors."""
+    """The benchmark with 120 degrees of freedom has a large chi-square for any sensors."""
     experiment = iasc_asce(4).experiment((2 * SIDE, 2 * SIDE), 0.01, 3, total_mass=10717.2)
     assert screen(experiment) == ()
     right = experiment.configurations[0].sensors[6].direction
