@@ -280,7 +280,7 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
 
 @pytest.mark.parametrize(("off", "accepted"), [(2e-20, True), (2e-15, False)])
 def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows(off, accepted):
-    """The gradient is 1e-24 for one unknown and 1e4 for its neighbor. The neighbor's terms of 6 are rounded to 1e-15."""
+    """The gradient is 1e-24 for one unknown, 1e4 for its neighbor. The neighbor's terms of 6 are rounded to 1e-15."""
     program = LeastSquares(np.array([[1e4, 0.0], [0.0, 109.0], [0.0, 1.0]]), np.array([3.0, 1e-24, 0.0]))
     found = certify(Assembled(program), Point(np.array([3e-4, off]), np.zeros(0), np.zeros(0)))
     assert (found.dual_residual <= 1e-6) is accepted

@@ -2,6 +2,7 @@
 
 import re
 
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 JUNK = (
@@ -14,6 +15,14 @@ NUMBERS = (0, 1, 2, 3, 5, 8, 9, 13, 14, 15, 127, 128, 255, 0x7FFF, 0x7FFFFFFF, 0
 WORD = re.compile(rb"[^\s,;=\[\]]+")
 
 PLACES = st.floats(0, 1, exclude_max=True)
+
+
+def many(examples: int, *more: Phase) -> settings:
+    """Return the settings of a test that tries this many examples, in more phases than their generation."""
+    return settings(
+        max_examples=max(3, examples), deadline=None, database=None, suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate, *more),
+    )  # fmt: skip
 
 
 def damaged(most: int = 4) -> st.SearchStrategy:

@@ -5,29 +5,19 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, assume, given, seed, settings
+from hypothesis import assume, given, seed
 from hypothesis import strategies as st
 
 from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError
 from tests.fuzz import files
-from tests.fuzz.mutations import PLACES, WORD, apply, damaged
+from tests.fuzz.mutations import PLACES, WORD, apply, damaged, many
 from tests.records.shared import csv
 
 SHARE = 5
 """Ratio of the budgets of readers and commands. A command takes far longer than a reader."""
 
 VALUES = (0.0, -1.0, 1e-30, 1e30, 1e-12, 1e12, 0.5, 2.0, 100.0, 1e6)
-
-
-def many(budget: int, share: int = SHARE):
-    return settings(
-        max_examples=max(3, budget // share),
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-        phases=(Phase.generate,),
-    )
 
 
 def numbers(value):
@@ -72,7 +62,7 @@ def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budge
     choices = options.get(command, [["--effects", "ground_spring,story_change"], []])
 
     @seed(5)
-    @many(fuzz_budget, SHARE if command == "identify" else 4 * SHARE)
+    @many(fuzz_budget // (SHARE if command == "identify" else 4 * SHARE))
     @given(CHANGES, damaged(1), st.booleans(), st.sampled_from(choices))
     def check(changes, edits, as_bytes, chosen):
         content = files.measurement()
@@ -95,7 +85,7 @@ def test_a_record_that_is_read_has_modes_or_is_refused(fuzz_budget, tmp_path, ru
     column = st.tuples(st.sampled_from(kinds), st.integers(1, 4), PLACES)
 
     @seed(6)
-    @many(fuzz_budget, 2 * SHARE)
+    @many(fuzz_budget // (2 * SHARE))
     @given(st.lists(column, min_size=1, max_size=3), st.sampled_from(METHODS), st.integers(128, 600))
     def check(changes, how, length):
         driven, method = how

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import Phase, given, seed
 
 from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import Columns, read_csv
@@ -13,7 +13,7 @@ from cvxshear.io.record_tables import read_record
 from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files
-from tests.fuzz.mutations import apply, damaged
+from tests.fuzz.mutations import apply, damaged, many
 
 
 def finite(columns: Columns) -> None:
@@ -59,13 +59,7 @@ def test_a_mutated_file_is_read_or_refused(kind, fuzz_budget, tmp_path):
     counts = {"read": 0, "refused": 0}
 
     @seed(13)
-    @settings(
-        max_examples=fuzz_budget,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-        phases=(Phase.generate, Phase.shrink),
-    )
+    @many(fuzz_budget, Phase.shrink)
     @given(damaged())
     def check(edits):
         path.write_bytes(apply(sound, edits))

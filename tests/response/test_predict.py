@@ -77,7 +77,7 @@ def test_the_true_frame_has_no_error(frame, input_floor):
 
 @pytest.mark.parametrize(("frequency", "rest"), [(1.0, 1e-5), (3.0, 5e-4)])
 def test_a_peak_stands_between_samples(frequency, rest):
-    """A harmonic of 2 mm, sampled at 50 Hz, peaks between samples for any phase; a jump has its largest sample as its peak."""
+    """A harmonic of 2 mm, sampled at 50 Hz, peaks between samples for any phase. A jump peaks at a sample."""
     time = np.arange(200) / 50
     phases = 2 * np.pi * frequency * time[:, None] + np.linspace(0, np.pi, 12)
     nothing = np.zeros_like(phases)
