@@ -391,7 +391,8 @@ def mode_derivatives(found: Modes, system: System, which: slice | Ints | list[in
     dlam = S[:, own, column]
     gap = lam_j[None, :] - lam[:, None]
     gap[own, column] = 1.0
-    share = S / gap
+    # Modes of one eigenvalue have no derivatives along each other.
+    share = np.divide(S, gap, out=np.zeros_like(S), where=gap != 0.0)
     share[:, own, column] = -0.5 * by_mass[:, own, column]
     return dlam, share.transpose(0, 2, 1) @ phi.T
 

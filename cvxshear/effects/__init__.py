@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
-from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters
+from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters, TurnedAxes
 from cvxshear.effects.composition import compose
 from cvxshear.effects.masses import (
     AddedMass,
@@ -35,7 +35,7 @@ __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "EccentricMass", "EccentricStiffness",
     "Effect", "Gravity", "GroundSpring", "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling",
     "Parameter", "Place", "Scale", "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange",
-    "TotalMass", "Wall", "catalogue", "compose", "heights_of", "named", "open_classes", "refuse_faulty",
+    "TotalMass", "TurnedAxes", "Wall", "catalogue", "compose", "heights_of", "named", "open_classes", "refuse_faulty",
     "refuse_repeated", "register",
 ]  # fmt: skip
 
@@ -45,7 +45,7 @@ _catalogue: dict[str, Effect] = {
         Gravity(), JointRotation(), AxialColumns(), BaseRocking(), Wall(), GroundSpring(), AddedMass(), MassCoupling(),
         SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(), FloorMass(),
         JointRelease(), SoftFeet(), Bracing(), AttachedMass(), LoadMounting(), ShapeScale(), ForceScale(),
-        WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(),
+        WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(), TurnedAxes(),
     )
 }  # fmt: skip
 

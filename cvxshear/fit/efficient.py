@@ -13,7 +13,7 @@ from cvxshear.data import NoiseFactors
 from cvxshear.effects import LocatedEffect, Scale, compose
 from cvxshear.effects.composition import MEMORY, slices
 from cvxshear.fit import results
-from cvxshear.fit.domain import Domain, Uncertainty, domain_of, null_space, uncertainty
+from cvxshear.fit.domain import MASS_WIDTH, Domain, Uncertainty, domain_of, null_space, uncertainty
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
@@ -382,7 +382,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
         try:
             # A rough fit shows whether a further start leads to a better one.
             found = _fitted_from(misfit, theta, backend, FULL if best is None else ROUGH)
-            if best is not None and found.chi2 < best.chi2:
+            if best is not None and _missed(found) < _missed(best):
                 found = fitted(found.misfit, found.theta, backend)
         except errors.NoModesError as error:
             # If a frequency is 1e12 times the others, rounding can make the lowest eigenvalue negative.
@@ -392,9 +392,9 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
             failure = failure or error
             missed = min(missed, misfit.evaluate(theta, derivatives=False).chi2)
             continue
-        if best is None or found.chi2 < best.chi2:
+        if best is None or _missed(found) < _missed(best):
             best = found
-        if best.chi2 <= 3.0 * max(best.dof, 1) and not misfit.open_noises:
+        if _missed(best) <= 3.0 * max(best.dof, 1) and not misfit.open_noises:
             break
     if best is None:
         raise failure if failure is not None else errors.NoSolutionError(backend.name, "no starting point has modes")
@@ -404,6 +404,14 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
     if backend.name != "auto" and not misfit.open_noises and best.chi2 > HOPELESS * max(best.dof, 1):
         _refuse_local_minimum(best, backend, efficient(experiment, backends.get("auto"), effects))
     return best
+
+
+def _missed(found: Estimate) -> float:
+    """Return chi-square; of floors that turn, with the prior of their masses, which few modes hardly determine."""
+    if not found.experiment.frame.turns:
+        return found.chi2
+    mass, _ = found.experiment.levels(found.theta)
+    return found.chi2 + float(np.sum((np.log(mass / mass.mean()) / MASS_WIDTH) ** 2))
 
 
 def _fitted_from(misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy) -> Estimate:

@@ -90,13 +90,13 @@ SMOOTH = SmoothProfiles()
 def starts(experiment: Experiment) -> list[Floats]:
     """List the starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Of floors that turn it is the solution of their story equations. Else they are the design values of the priors, if
-    these suggest both; the solution of the story equations; and frames of equal masses with uniform stiffness and with
-    the taper that fits the ratios of the frequencies best.
+    Of floors that turn they are the solution of their story equations, and even floors and stories. Else they are the
+    design values of the priors, if these suggest both; the solution of the story equations; and frames of equal masses
+    with uniform stiffness and with the taper that fits the ratios of the frequencies best.
     """
     if experiment.frame.turns:
-        theta = _turning_start(dataclasses.replace(experiment, symmetric=False))
-        return [symmetric(theta, experiment.stories) if experiment.symmetric else theta]
+        found = _turning_starts(dataclasses.replace(experiment, symmetric=False))
+        return [symmetric(theta, experiment.stories) if experiment.symmetric else theta for theta in found]
     even = uniform(experiment)
     points = []
     theta = even
@@ -109,8 +109,8 @@ def starts(experiment: Experiment) -> list[Floats]:
     return [*_nominal(experiment), *points[-1:], even, _tapered(experiment)]
 
 
-def _turning_start(experiment: Experiment) -> Floats:
-    """Solve the story equations of floors that turn, from even floors and stories.
+def _turning_starts(experiment: Experiment) -> list[Floats]:
+    """Solve the story equations of floors that turn from even floors and stories; list the solution and the latter.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _turning_start(experiment: Experiment) -> Floats:
             np.concatenate([*sides, np.zeros(len(inertia)), ridge * even]),
         )
         theta = backends.get("auto").solve(domain.around(program, np.zeros(len(even)))).x
-    return theta
+    return [theta, even]
 
 
 def _tapered(experiment: Experiment) -> Floats:
@@ -424,10 +424,10 @@ def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
 
     measured = [(chi2(start), start) for start in starts(misfit.experiment)]
     usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
+    if misfit.experiment.frame.turns:
+        return [start for at, start in measured if np.isfinite(at)]
     ordered = [start for _, start in usable]
-    if misfit.experiment.frame.turns or (
-        usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own]))
-    ):
+    if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
         return ordered
     try:
         smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))

@@ -74,8 +74,11 @@ class TurningFrame(IdentifiedFrame):
 
         Coordinates and coupled entries that are zero but for rounding are zero.
         """
-        mass, stiffness = np.nanmax(self.floor_mass), np.nanmax(self.story_stiffness)
-        radius = float(np.nan_to_num(np.sqrt(np.nanmax(self.inertia) / mass), nan=1.0))
+        mass, stiffness, inertia = (
+            float(np.max(np.nan_to_num(each), initial=0.0))
+            for each in (self.floor_mass, self.story_stiffness, self.inertia)
+        )
+        radius = float(np.sqrt(inertia / mass)) if inertia and mass else 1.0
         sizes = {"kg": mass, "m": radius, "kg m2": mass * radius**2}
         sizes |= {"N/m": stiffness, "N": stiffness * radius, "N m": stiffness * radius**2}
         for name, unit, *columns in self._columns():
@@ -286,11 +289,14 @@ def reported(
     mass_center, inertia = center(mass_blocks)
     stiffness_center, _ = center(story_blocks)
     entries, none = stiffnesses.reshape(n, 6), np.zeros((n, 1))
-    level = np.sqrt(np.abs(entries[:, :1] * entries[:, 1:2]))
+    # A value near zero counts by the size of the others: its own would hide what else a direction moves.
+    mass, inertia_size = (np.maximum(each, each.mean())[:, None] for each in (masses[::4], inertia))
+    diagonal = np.maximum(entries[:, :3], entries[:, :3].mean(axis=0))
+    level = np.sqrt(diagonal[:, :1] * diagonal[:, 1:2])
     values = np.hstack([masses[::4, None], mass_center, inertia[:, None], entries, stiffness_center])
     sizes = np.hstack([
-        masses[::4, None], radius + none, radius + none, inertia[:, None],
-        entries[:, :3], level, level * radius, level * radius, radius + none, radius + none,
+        mass, radius + none, radius + none, inertia_size, diagonal, level, level * radius, level * radius,
+        radius + none, radius + none,
     ])  # fmt: skip
     by_mass = center_slopes(mass_blocks, THREE_MOTIONS.mass_basis)
     slopes = np.zeros((n, 12, 10))

@@ -29,7 +29,7 @@ NUMBERS = ("missing_mode", "mode_number")
 #: Findings of `check` that are warnings.
 DOUBTS = (
     "angular_frequency", "heights", "masses", "deviations", "look_alike", "repeated", "gravity",
-    "total_mass", "added_mass",
+    "total_mass", "added_mass", "outside_plan",
 )  # fmt: skip
 
 #: Findings that `[frame] accept` can name.

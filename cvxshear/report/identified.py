@@ -171,7 +171,7 @@ def turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
         )
     for group in frame.undetermined:
         yield blocks.Sentence(f"Not determined: {in_words(group)}.", "warning")
-        if all(f"inertia {floor}" in group for floor in range(1, len(frame.inertia) + 1)):
+        if {name.rpartition(" ")[0] for name in group} == {"inertia", "story_stiffness rr"}:
             yield blocks.Sentence(
                 "No eccentricity couples the rotations with the displacements, so all inertias have an open factor; a "
                 "plan in [frame], or a known added mass off the center, tells it."

@@ -147,6 +147,19 @@ def frame_values(experiment: Experiment) -> Iterator[FileFinding]:
             yield doubt("masses", floor=quantities.quantity(floor, "kg", 3), height=quantities.significant(height, 3))
 
 
+def outside_the_plan(experiment: Experiment) -> list[FileFinding]:
+    """Doubt the first sensor of each test that stands outside the declared plan: another unit or another origin."""
+    found = []
+    for test in experiment.configurations if experiment.frame.plan is not None else ():
+        for number, sensor in enumerate(test.sensors, 1):
+            half = experiment.half_plan[sensor.floor - 1]
+            if np.any(np.abs(sensor.position) > half * (1.0 + ranking.SAME_NUMBER)):
+                (x, y), (a, b) = sensor.position, 2.0 * half
+                found.append(doubt("outside_plan", test.name, sensor=number, x=x, y=y, floor=sensor.floor, a=a, b=b))
+                break
+    return found
+
+
 def angular_frequency(experiment: Experiment) -> Iterator[FileFinding]:
     """Doubt a first frequency that is too high for the building's height."""
     first = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
+from cvxshear import backends
 from cvxshear.measurement import reading as readings
 from cvxshear.measurement.configuration import Sensor
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -414,7 +415,15 @@ _Misfit = tuple[float, int, float]
 
 
 def _misfits(experiment: Experiment, configuration: Configuration) -> list[_Misfit]:
-    """Fit floors, then masses near even ones, then stories; nothing if no positive masses fit."""
+    """Fit floors, then masses near even ones, by the program with positive ones if those are not, then stories."""
+    if experiment.frame.plan is None:
+        # Without a plan nothing says where the reference point is; even floors are those about the sensors' middle.
+        middle = np.mean([sensor.position for sensor in configuration.sensors], axis=0)
+        moved = tuple(replace(sensor, position=sensor.position - middle) for sensor in configuration.sensors)
+        loads = configuration.added_mass_position
+        configuration = replace(
+            configuration, sensors=moved, added_mass_position=loads - middle if len(loads) else loads
+        )
     test = TurningTest.of(experiment, configuration, "check")
     misfit, freedom = 0.0, 0
     for reading, std in zip(configuration.mode_shapes / configuration.entry_std, configuration.entry_std, strict=True):
@@ -430,9 +439,8 @@ def _misfits(experiment: Experiment, configuration: Configuration) -> list[_Misf
     both = np.vstack([rows * size, np.eye(len(even))]) @ free
     change = free @ np.linalg.lstsq(both, np.concatenate([aim - rows @ even, 0.0 * even]), rcond=None)[0]
     masses = even + size * change
-    M = THREE_MOTIONS.masses(masses + test.added)
-    if linalg.eigvalsh(M)[0] <= 0:
-        return []
+    if linalg.eigvalsh(THREE_MOTIONS.masses(masses + test.added))[0] <= 0:
+        masses = backends.get("auto").solve(program).x
     of_masses = float(np.sum((rows @ masses - aim) ** 2)), len(aim) - free.shape[1]
     program, weights = test.story_stiffnesses(masses), test.stiffness_rows(masses).weights
     rows, aim = program.weighted

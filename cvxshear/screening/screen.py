@@ -78,7 +78,10 @@ def screen(experiment: Measurement) -> tuple[doubts.FileFinding, ...]:
     """
     experiment = opened(experiment, turning=True)
     if experiment.frame.turns:
-        turning = [item for each in experiment.configurations for item in mistakes.of_sensors(experiment, each)]
+        # Sensors outside the plan, in another unit or from another origin, tell nothing of each other.
+        turning = doubts.outside_the_plan(experiment) or [
+            item for each in experiment.configurations for item in mistakes.of_sensors(experiment, each)
+        ]
         return tuple(item for item in turning if not item.accepted(experiment.frame.accept))
     found = [
         *doubts.frequency_units(experiment),

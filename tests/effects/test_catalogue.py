@@ -367,6 +367,10 @@ SAID = [
         "the mass center of floor 4 is at x = -0.0480 ± 0.0013 m",
     ),
     (
+        "turned_axes", {"story": 2}, 0.31, 0.02,
+        "the axes of story 2 are not x and y: the stiffness between these is 31.0 ± 2.0 % of their mean",
+    ),
+    (
         "eccentric_stiffness", {"part": "in y"}, 0.5, 0.02,
         "the center of stiffness of all stories is at y = 0.500 ± 0.020 m",
     ),

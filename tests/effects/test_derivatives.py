@@ -115,6 +115,6 @@ def test_every_effect_of_the_catalogue_is_tested():
     `tests/loop/test_open_classes.py` tests the forces, and `test_turning.py` the centers of floors that turn."""
     elsewhere = {
         "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale",
-        "force_scale", "eccentric_mass", "eccentric_stiffness",
+        "force_scale", "eccentric_mass", "eccentric_stiffness", "turned_axes",
     }  # fmt: skip
     assert {effect.name for effect in catalogue()} == {*CASES, *elsewhere}

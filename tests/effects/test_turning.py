@@ -90,6 +90,17 @@ def test_a_change_of_a_side_is_that_of_its_members(part):
     close(composed(frame, "story_change", [-0.1], story=2, part=part).system.K, damaged.matrices[1])
 
 
+def test_turned_axes_are_those_of_an_oblique_wall():
+    """A wall amid the plan at 45 degrees adds half of its stiffness to x, y and between them."""
+    frame, oblique = symmetric_frame(), symmetric_frame()
+    own, wall = frame.story(1), 6e5
+    oblique.columns[1] = np.vstack([oblique.columns[1], [0.0, 0.0, wall, 0.0, np.pi / 4]])
+    added = np.array([[0.0, 0.0, 0.5 * wall, 0.5 * wall, 0.0]])
+    frame.columns[1] = np.vstack([frame.columns[1], added])
+    mean = 0.5 * (own[0, 0] + own[1, 1] + wall)
+    close(composed(frame, "turned_axes", [0.5 * wall / mean], story=2).system.K, oblique.matrices[1])
+
+
 def test_an_added_mass_is_a_weight_at_its_place():
     frame, loaded = symmetric_frame(), symmetric_frame()
     loaded.weights[1] = np.vstack([loaded.weights[1], [3.0, -2.0, 700.0]])
@@ -135,6 +146,7 @@ def test_the_gain_of_one_sensor_scales_its_row():
 CASES = {
     "eccentric_mass": ({"floor": 2, "part": "in x"}, [0.3]),
     "eccentric_stiffness": ({"part": "in y"}, [-0.2]),
+    "turned_axes": ({"story": 2}, [0.15]),
     "story_change": ({"story": 2, "part": "in y at x < 0"}, [-0.2]),
     "added_mass": ({"floor": 3}, [500.0, 2.0, -1.0]),
     "gravity": ({}, [1.1]),

@@ -236,3 +236,12 @@ def test_a_soft_prior_of_masses_weighs_by_its_deviation():
         }  # fmt: skip
         found = cvxshear.identify(noisy | {"prior": [prior]}).frame.floor_mass
         np.testing.assert_allclose(found, expected, rtol=2e-4)
+
+
+def test_three_modes_leave_the_floors_open():
+    """The first mode in x, in y and of rotation: no orthogonality tells floors of four apart."""
+    frame = random_frame(4, 7, symmetric=True)
+    result = cvxshear.identify(frame.experiment(3, 0.01, 2, std=0.01, plan=True))
+    (group,) = (each for each in result.undetermined if "floor_mass 1" in each)
+    assert {f"floor_mass {floor}" for floor in range(1, 5)} <= set(group)
+    assert np.all(np.isnan(result.frame.floor_mass))

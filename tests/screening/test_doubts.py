@@ -9,6 +9,7 @@ from cvxshear import Experiment
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
+from tests.fe.plan_frames import random_frame
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
@@ -152,3 +153,20 @@ def test_added_masses_in_another_unit_are_named(unit, factor):
         table["added_mass"] = [factor * value for value in table["added_mass"]]
     items = screen(Experiment.from_dict(declared))
     assert any("added_mass" in item.found and f"like {unit}" in item.found for item in items)
+
+
+@pytest.mark.parametrize(
+    ("positions", "named"),
+    [(1.0, []), (1e3, ["outside_plan"]), (np.array([6.0, 4.5]), ["outside_plan"])],
+    ids=["m", "mm", "from a corner"],
+)
+def test_sensors_outside_the_plan_are_asked_about(positions, named):
+    """Sensors at the corners of the plan stand in it."""
+    frame = random_frame(2, 3)
+    declared = frame.experiment(6, plan=True).to_dict()
+    for sensor in declared["configuration"][0]["sensors"]:
+        place = np.array(sensor["position"])
+        sensor["position"] = (place + positions if np.ndim(positions) else place * positions).tolist()
+    found = screen(Experiment.from_dict(declared))
+    assert [item.name for item in found] == named
+    assert not any(item.refuses for item in found)
