@@ -20,7 +20,6 @@ fitted to the first mode, then to twice the number of modes with one more degree
 at the result of the previous one. Gauss-Newton then starts near the right minimum.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,7 +33,6 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import Modes, mass_matrix, modes, stiffness_matrix, transformation
-from cvxshear.motions import symmetric
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares, turning
 from cvxshear.programs.constraints import NamedConstraints, constrained, statements
@@ -95,8 +93,7 @@ def starts(experiment: Experiment) -> list[Floats]:
     with uniform stiffness and with the taper that fits the ratios of the frequencies best.
     """
     if experiment.frame.turns:
-        found = _turning_starts(dataclasses.replace(experiment, symmetric=False))
-        return [symmetric(theta, experiment.stories) if experiment.symmetric else theta for theta in found]
+        return _turning_starts(experiment)
     even = uniform(experiment)
     points = []
     theta = even

@@ -17,7 +17,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.fit import domain, gauss_newton, other_frames
-from cvxshear.fit.efficient import Estimate, efficient
+from cvxshear.fit.efficient import Estimate, efficient, fitted
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
@@ -27,6 +27,7 @@ from cvxshear.loop.results import LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
+from cvxshear.motions import symmetric
 from cvxshear.priors import Prior
 from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats
@@ -129,8 +130,15 @@ class Searches:
     @decorators.cached_property
     def start(self) -> Estimate:
         """The shear model with the modes as given, on the requested backend, so that a failing one is found at once."""
-        fit, refusals = (lambda by: efficient(self.experiment, by, self.assumed)), (errors.UnsuitableError,)
-        return with_stand_in(self.backend, fit, refusals)[0]
+
+        def fit(by: backends.Backend) -> Estimate:
+            if self.general is None:
+                return efficient(self.experiment, by, self.assumed)
+            own = [np.array(placed.start) for placed in self.assumed]
+            theta = np.concatenate([symmetric(self.general, self.experiment.stories), *own])
+            return fitted(Misfit(self.experiment, self.assumed), theta, by)
+
+        return with_stand_in(self.backend, fit, (errors.UnsuitableError,))[0]
 
     @decorators.cached_property
     def expectation(self) -> domain.EffectPrior:

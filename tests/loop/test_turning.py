@@ -140,3 +140,12 @@ def test_motions_that_no_sensor_sees_keep_their_prior_odds():
     by_prior = [each for each in result.candidates if each.placed.effect.name.startswith("eccentric")]
     assert all(0.5 * each.prior < each.probability <= 1.01 * each.prior for each in by_prior)
     np.testing.assert_allclose(result.frame.floor_mass, frame.floor_mass, rtol=0.05)
+
+
+def test_three_modes_leave_the_masses_to_their_prior():
+    """The first mode in x, in y and of rotation fit any floors; their masses keep wide deviations about even ones."""
+    frame = random_frame(4, 7, symmetric=True)
+    result = cvxshear.close_loop(frame.experiment(3, 0.01, 2, std=0.01, plan=True))
+    assert not result.effects
+    assert np.all(result.averaged.floor_mass_std > 0.3 * result.averaged.floor_mass)
+    assert np.all(np.abs(result.averaged.floor_mass / frame.floor_mass - 1.0) < 1.0)
