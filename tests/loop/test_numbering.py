@@ -221,7 +221,9 @@ def test_the_signs_of_a_record_at_some_floors_tell_that_a_mode_is_lacking():
 
 
 def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_not_tell():
-    _, modes = shaken([3, 5, 8], count=5, method="subspace")
+    frame, _ = shaken([3, 5, 8])
+    driven = frame.modes()[0][[0, 1, 3, 4, 5]]
+    _, modes = shaken([3, 5, 8], pick=driven.tolist(), method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
     rivals = ["attached_mass", "ground_spring", "sensor_gain", "story_change", "gravity"]
     closure = search_for_effects(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})), rivals)
