@@ -5,6 +5,7 @@ the motion of the reference point into that of the center. A story whose center 
 """
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -46,6 +47,13 @@ class _Eccentric(Effect):
         """Return as much for all floors or stories together as for each of them alone."""
         return float(experiment.stories) if (place.floor, place.story) == (None, None) else 1.0
 
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        coordinate = f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"
+        return f"the {self.center} of {_levels(place, self.sits_at[0])} is at {coordinate}"
+
+    center: ClassVar[str]
+    """The center in words."""
+
 
 class EccentricMass(_Eccentric):
     """M_i at the reference point of a floor whose mass center is e from it; the inertia is about the center."""
@@ -54,13 +62,10 @@ class EccentricMass(_Eccentric):
     summary = "The mass center of a floor, or of all floors, is beside the axis of the symmetric frame."
     formula = "M_i = S' diag(m, m, J) S,  S = [[1, 0, -e_y], [0, 1, e_x], [0, 0, 1]]"
     sits_at = ("floor",)
+    center = "mass center"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return with_moved_masses(state, str(place.part), values, _pattern(place.floor, len(state.heights)), own)
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        whose = "all floors" if place.floor is None else f"floor {place.floor}"
-        return f"the mass center of {whose} is at {_coordinate(place, values, std)}"
 
 
 class EccentricStiffness(_Eccentric):
@@ -70,13 +75,10 @@ class EccentricStiffness(_Eccentric):
     summary = "The center of stiffness of a story, or of all stories, is beside the axis of the symmetric frame."
     formula = "K_s = S' diag(k_x, k_y, k_r) S,  S = [[1, 0, -e_y], [0, 1, e_x], [0, 0, 1]]"
     sits_at = ("story",)
+    center = "center of stiffness"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return with_moved_stories(state, str(place.part), values, _pattern(place.story, len(state.heights)), own)
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        whose = "all stories" if place.story is None else f"story {place.story}"
-        return f"the center of stiffness of {whose} is at {_coordinate(place, values, std)}"
 
 
 class TurnedAxes(Effect):
@@ -109,8 +111,7 @@ class TurnedAxes(Effect):
         return with_turned_axes(state, values, _pattern(place.story, len(state.heights)), own)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        whose = "all stories" if place.story is None else f"story {place.story}"
-        size = with_std(values[0], std[0], "%", 0.01)
+        size, whose = with_std(values[0], std[0], "%", 0.01), _levels(place, "story")
         return f"the axes of {whose} are not x and y: the stiffness between these is {size} of their mean"
 
 
@@ -119,8 +120,10 @@ def _pattern(level: int | None, stories: int) -> Floats:
     return np.ones((1, stories)) if level is None else np.eye(stories)[level - 1 : level]
 
 
-def _coordinate(place: Place, values: Floats, std: Floats) -> str:
-    return f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"
+def _levels(place: Place, kind: str) -> str:
+    """Name the floor or story of a place, or all of them."""
+    level = place.floor or place.story
+    return {"floor": "all floors", "story": "all stories"}[kind] if level is None else f"{kind} {level}"
 
 
 class OtherCenters(OpenClass):

@@ -149,3 +149,15 @@ def test_three_modes_leave_the_masses_to_their_prior():
     assert not result.effects
     assert np.all(result.averaged.floor_mass_std > 0.3 * result.averaged.floor_mass)
     assert np.all(np.abs(result.averaged.floor_mass / frame.floor_mass - 1.0) < 1.0)
+
+
+def test_an_oblique_wall_turns_the_axes_of_its_story():
+    frame = random_frame(3, 9, symmetric=True)
+    stiffness = 0.3 * frame.columns[1][:, 2].sum()
+    frame.columns[1] = np.vstack([frame.columns[1], [0.0, 0.0, stiffness, 0.0, np.pi / 6]])
+    result = cvxshear.close_loop(frame.experiment(9, NOISE, 4, std=NOISE))
+    (found,) = result.effects
+    K = frame.story(1)
+    assert found.placed.label == "turned axes at story 2"
+    assert found.parameters["o"] == pytest.approx(2 * K[0, 1] / (K[0, 0] + K[1, 1]), abs=3.5 * found.std["o"])
+    np.testing.assert_allclose(result.frame.story_stiffness[1, 0, 1], K[0, 1], rtol=0.1)
