@@ -161,7 +161,7 @@ def test_names_in_tuples_are_seen():
     assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]
 
 
-BUDGET = {"lines of code": 25_660, "modules": 150, "numeric constants": 345, "lines of imports": 1_980}
+BUDGET = {"lines of code": 25_710, "modules": 150, "numeric constants": 345, "lines of imports": 1_980}
 """Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
 
 
