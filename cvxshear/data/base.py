@@ -181,8 +181,11 @@ def paired(configuration: Configuration, found: Modes, observation: Observation,
         among = np.arange(len(found.eigenvalues))
         psi, numbers = observation.shown(found.shapes, entries), np.eye(len(among))[declared]
     cross = (weights**2 * shapes) @ psi.T
+    energy = weights**2 @ (psi**2).T
+    # Of a mode that the sensors do not see, they show rounding, which can resemble any measured shape.
+    energy[energy <= np.finfo(float).eps * energy.max(axis=1, keepdims=True)] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        criteria = cross**2 / (np.sum(measured**2, axis=1)[:, None] * (weights**2 @ (psi**2).T))
+        criteria = cross**2 / (np.sum(measured**2, axis=1)[:, None] * energy)
     known = np.sum(weights > 0, axis=1) > 1
     unseen = np.zeros_like(criteria) if motions > 1 else numbers
     criteria = np.where(known[:, None], np.where(np.isfinite(criteria), criteria, unseen), numbers)
