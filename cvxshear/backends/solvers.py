@@ -336,9 +336,10 @@ class Auto(Backend):
         """Solve by the closed form; `certified` asks the other backends, since which answer is right shows there."""
         return self._closed_form.answer(problem)
 
-    def certified(self, program: Assembled, problem: Canonical) -> Solution:
+    def certified(self, program: Assembled, problem: Canonical, *, bounded: bool = True) -> Solution:
         try:
-            return self._chosen(self._closed_form.certified(program, problem), "no inequality is active")
+            found = self._closed_form.certified(program, problem, bounded=bounded)
+            return self._chosen(found, "no inequality is active")
         except UnsuitableError:
             why = "an inequality is active"
         except NoSolutionError:
@@ -348,7 +349,7 @@ class Auto(Backend):
         failure: NoSolutionError | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                return self._chosen(backend.certified(program, problem), why)
+                return self._chosen(backend.certified(program, problem, bounded=bounded), why)
             except NoSolutionError as error:
                 failure = failure or error
                 why = f"{why}, and {backend.name} fails"

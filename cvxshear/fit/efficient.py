@@ -1,7 +1,7 @@
 """The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +15,7 @@ from cvxshear.effects.composition import MEMORY, slices
 from cvxshear.fit import results
 from cvxshear.fit.domain import MASS_WIDTH, Domain, Uncertainty, domain_of, null_space, uncertainty
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
-from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
+from cvxshear.fit.misfit import Evaluation, Misfit, NoiseAtFit, NoiseEstimate
 from cvxshear.fit.optimality import local_conditions
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.turning_floors import TurningFrame, general_parameters, one_shot_open, reported
@@ -288,39 +288,40 @@ def fitted(
     estimate = fitted_with(misfit, theta, backend, few, start)
     longest, aim = NOISE_ITERATION.longest, dict[str, float]()
     for _ in range(NOISE_ITERATION.fits):
-        noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
+        noise = _noise_at(estimate)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
-        if _same(estimate.misfit, noise):
+        if _same(noise.factors, before):
             if estimate.fit.converged:
-                return dataclasses.replace(estimate, noise=noise)
+                return dataclasses.replace(estimate, noise=noise.estimate())
             estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
             continue
-        changes = [np.log(factor / before[key]) for key, factor in noise.noise.factors]
+        changes = [np.log(factor / before[key]) for key, factor in noise.factors]
         # Steps beyond the range of the linearized model oscillate: each is shorter than the last, until the target
         # stays.
-        same = NOISE_ITERATION.same
-        steady = aim and all(abs(np.log(factor / aim[key])) < same for key, factor in noise.noise.factors)
+        steady = aim and _same(noise.factors, aim)
         cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
-        longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.noise.factors)
+        longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.factors)
         factors = tuple(
             (key, float(before[key] * np.exp(cut * change)))
-            for (key, _), change in zip(noise.noise.factors, changes, strict=True)
+            for (key, _), change in zip(noise.factors, changes, strict=True)
         )
         misfit = estimate.misfit.replaced(noise=NoiseFactors(factors))
         estimate = fitted_with(misfit, estimate.theta, backend, few)
     if not estimate.fit.converged:
         estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
-    noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
-    if not _same(estimate.misfit, noise):
-        # The maximum of the linearized model is outside its range, so only the neighborhood of the fit counts.
-        noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions, here=True)
-    return dataclasses.replace(estimate, noise=noise)
+    noise = _noise_at(estimate)
+    same = _same(noise.factors, {key: estimate.misfit.noise.of(key) for key, _ in noise.factors})
+    return dataclasses.replace(estimate, noise=noise.estimate() if same else noise.unsettled())
 
 
-def _same(misfit: Misfit, noise: NoiseEstimate) -> bool:
-    """Whether an estimate of the unknown standard deviations is that with which the fit was made."""
-    changes = [abs(np.log(factor / misfit.noise.of(key))) for key, factor in noise.noise.factors]
-    return all(change < NOISE_ITERATION.same for change in changes)
+def _noise_at(estimate: Estimate) -> NoiseAtFit:
+    """Find the most probable undeclared noise in the linear model about a fit."""
+    return NoiseAtFit.of(estimate.misfit, estimate.fit.at, estimate.free_directions)
+
+
+def _same(factors: Iterable[tuple[str, float]], known: Mapping[str, float]) -> bool:
+    """Whether these factors on the unknown standard deviations are the known ones."""
+    return all(abs(np.log(factor / known[key])) < NOISE_ITERATION.same for key, factor in factors)
 
 
 def fitted_with(

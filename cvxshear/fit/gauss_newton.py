@@ -231,7 +231,7 @@ def _descended(
     refused: errors.NoSolutionError | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
-            solution = backend.solve(step_program(at, theta, domain, damping.weight))
+            solution = backend.solve(step_program(at, theta, domain, damping.weight), bounded=False)
         except errors.NoSolutionError as error:
             # Damping improves the condition of the program.
             failures += 1

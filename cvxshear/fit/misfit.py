@@ -364,47 +364,74 @@ class NoiseEstimate:
         return {"factor": factor, "std": factor * float(np.sqrt(self.covariance[at, at]))}
 
 
-def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
-    """Estimate the undeclared noise from a fit.
+@dataclass(frozen=True, eq=False)
+class NoiseAtFit:
+    """Undeclared noise of a fit, in the linear model about it.
 
     Parameters
     ----------
-    misfit : Misfit
-        Misfit with the noise of the fit.
-    at : Evaluation
-        At its optimum.
-    free : ndarray, shape (P, f)
-        Free directions of the parameters, each of unit effect on the residuals.
-    here : bool, optional
-        Keep the factors of the fit, as an estimate that did not converge.
-
-    Returns
-    -------
-    NoiseEstimate
+    kinds : tuple of str
+        As in `NoiseEstimate`.
+    marginal : SizeMarginal
+        log p(data, v), v the normal variables of the factors.
+    v : ndarray, shape (g,)
+        Its maximum.
     """
-    if not misfit.unknown:
-        return NoiseEstimate()
-    factors = [misfit.noise.of(item.key) for item in misfit.unknown]
-    rows = [at.unknown == place for place in range(len(misfit.unknown))]
-    marginal = SizeMarginal(
-        misfit.unknown,
-        factors,
-        [at.J[own] @ free for own in rows],
-        [at.r[own] for own in rows],
-        free.T @ (at.J.T @ at.r),
-    )
-    best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
-    # A marginal without maximum makes the search diverge.
-    v: Floats = np.clip(best, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)
-    covariance: Floats = np.asarray(np.linalg.inv(marginal.curvature(v)), dtype=np.float64)
-    kinds = tuple(item.key for item in misfit.unknown)
-    u, slope = marginal.log_factors(v)
-    spread = slope[:, None] * covariance * slope
-    if here:
-        local = -marginal.negative(v)[0] + 0.5 * float(np.linalg.slogdet(covariance)[1])
-        local -= float(np.sum(np.log(marginal.widths)))
-        return NoiseEstimate(kinds, u, spread, local, settled=False)
-    return NoiseEstimate(kinds, u, spread, marginal.log_integral(v, covariance))
+
+    kinds: tuple[str, ...]
+    marginal: SizeMarginal
+    v: Floats
+
+    @staticmethod
+    def of(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseAtFit:
+        """Find the most probable factors.
+
+        Parameters
+        ----------
+        misfit : Misfit
+            Misfit with the noise of the fit.
+        at : Evaluation
+            At its optimum.
+        free : ndarray, shape (P, f)
+            Free directions of the parameters, each of unit effect on the residuals.
+        """
+        factors = [misfit.noise.of(item.key) for item in misfit.unknown]
+        rows = [at.unknown == place for place in range(len(misfit.unknown))]
+        marginal = SizeMarginal(
+            misfit.unknown,
+            factors,
+            [at.J[own] @ free for own in rows],
+            [at.r[own] for own in rows],
+            free.T @ (at.J.T @ at.r),
+        )
+        best = optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
+        # A marginal without maximum makes the search diverge.
+        v: Floats = np.clip(best, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)
+        return NoiseAtFit(tuple(item.key for item in misfit.unknown), marginal, v)
+
+    @property
+    def factors(self) -> tuple[tuple[str, float], ...]:
+        """The most probable factor of each kind."""
+        return tuple(zip(self.kinds, np.exp(self.marginal.log_factors(self.v)[0]).tolist(), strict=True))
+
+    def estimate(self) -> NoiseEstimate:
+        """Estimate the factors and their covariance, and integrate over them."""
+        covariance, u, spread = self._spread(self.v)
+        return NoiseEstimate(self.kinds, u, spread, self.marginal.log_integral(self.v, covariance))
+
+    def unsettled(self) -> NoiseEstimate:
+        """Keep the factors of the fit: the maximum is outside the range of the linear model."""
+        v = self.marginal.start
+        covariance, u, spread = self._spread(v)
+        local = -self.marginal.negative(v)[0] + 0.5 * float(np.linalg.slogdet(covariance)[1])
+        local -= float(np.sum(np.log(self.marginal.widths)))
+        return NoiseEstimate(self.kinds, u, spread, local, settled=False)
+
+    def _spread(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """Covariance of v; logarithms of the factors and their covariance."""
+        covariance: Floats = np.asarray(np.linalg.inv(self.marginal.curvature(v)), dtype=np.float64)
+        u, slope = self.marginal.log_factors(v)
+        return covariance, u, slope[:, None] * covariance * slope
 
 
 @dataclass(frozen=True, eq=False)

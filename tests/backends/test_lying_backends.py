@@ -88,7 +88,7 @@ class Guest(backends.Backend):
     def answer(self, problem):
         raise AssertionError("never asked")
 
-    def solve(self, program):
+    def solve(self, program, *, bounded=True):
         right = backends.get("auto").solve(program)
         return dataclasses.replace(right, point=dataclasses.replace(right.point, x=self.share * right.x))
 
@@ -107,7 +107,7 @@ def test_an_exact_total_that_a_solver_misses_is_refused():
     theta = uniform(of)
 
     class Missing(Guest):
-        def solve(self, program):
+        def solve(self, program, *, bounded=True):
             return super().solve(program.replace(A=None, b=None))
 
     with pytest.raises(NoSolutionError, match="breaks an exact statement"):

@@ -52,13 +52,13 @@ class Refusing:
     def __init__(self, refusals, after=0):
         self.refusals, self.after, self.weights = refusals, after, []
 
-    def solve(self, program):
+    def solve(self, program, *, bounded=True):
         self.weights.append(program.R[-1, -1])
         self.after -= 1
         if self.after < 0 < self.refusals:
             self.refusals -= 1
             raise NoSolutionError(self.name, "gave up")
-        return AUTO.solve(program)
+        return AUTO.solve(program, bounded=bounded)
 
 
 def test_a_step_is_held_back_by_weights_in_proportion_to_sensitivities():
@@ -109,7 +109,7 @@ def test_a_hopeless_fit_is_given_up_after_three_steps_that_bring_little():
     class Slow:
         name = "slow"
 
-        def solve(self, program):
+        def solve(self, program, *, bounded=True):
             return SimpleNamespace(x=np.array([-0.05]))
 
     found = gauss_newton(Problem(lambda x: x + 10.0), np.zeros(1), free(1), Slow(), Accuracy(1e-3, 30, 0.02))

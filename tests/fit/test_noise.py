@@ -8,7 +8,7 @@ from cvxshear import Experiment, backends, close_loop, identify
 from cvxshear.data import NoiseFactors
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.gaussian import SizeMarginal, UnknownSize
-from cvxshear.fit.misfit import Misfit, estimated_noise
+from cvxshear.fit.misfit import Misfit, NoiseAtFit
 from cvxshear.priors import Value
 from tests.frames import configuration, experiment
 
@@ -168,7 +168,7 @@ def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
     misfit, theta = estimate.misfit, estimate.theta
     at = misfit.evaluate(theta)
     free = estimate.uncertainty.root_of(at.triangle[0])
-    found = estimated_noise(misfit, at, free)
+    found = NoiseAtFit.of(misfit, at, free).estimate()
     here = np.log([misfit.noise.of(kind) for kind in ("frequency", "mode_shape")])
     # Rows that change with doubled frequency noise belong to frequencies: six, and 2 x 3 x (3 - 1) ratios.
     doubled = NoiseFactors((("frequency", 2 * np.exp(here[0])), ("mode_shape", np.exp(here[1]))))
