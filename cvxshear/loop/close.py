@@ -95,7 +95,7 @@ def _concluded(
     looked_for = found[0].fitter.hypotheses
     models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
     posterior = Posterior(from_the_first_state(models, looked_for, found[0].fitter.experiment), looked_for)
-    fits = comparison.verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0].fitter)
+    fits = comparison.verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0])
     fitters = list(dict.fromkeys(each.fitter for each in (*found, *judging)))
     effort = sum(each.fits for each in fitters), sum(each.programs for each in fitters)
     return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)

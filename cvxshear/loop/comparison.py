@@ -6,6 +6,7 @@ test that mere extra freedom does not pass.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -70,7 +71,7 @@ class VerdictFits:
         return self.model.estimate
 
 
-def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fitter) -> VerdictFits:
+def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Search) -> VerdictFits:
     """Fit the set of the verdict, the models before it, and the set without each of its effects.
 
     Parameters
@@ -78,8 +79,8 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
     searches : sequence of Search
     posterior : Posterior
         Under the most probable numbering of the modes.
-    as_given : Fitter
-        Fitter for the modes numbered as given.
+    as_given : Search
+        Search with the modes numbered as given.
     """
     own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
     wanted = posterior.verdict_set()
@@ -91,28 +92,30 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
     if judged.misfit.noise_inflation != 1.0:
         final = fitter.fit(judged.misfit.replaced(noise_inflation=1.0), judged.theta)
     effects = [placed for placed in judged.effects if placed not in fitter.assumed]
-    steps = _steps(final, posterior.ranked(effects), fitter, as_given)
+    steps = _steps(final, posterior.ranked(effects), search, as_given)
     chi2_without = {
-        placed: _in_noise_of(judged, [each for each in effects if each is not placed], fitter).chi2
+        placed: _in_noise_of(judged, [each for each in effects if each is not placed], search).chi2
         for placed in effects
     }
     equivalents = other_frames.equivalent_fits(judged, backends.get("auto"))
     return VerdictFits(search, model, final, steps, chi2_without, *equivalents)
 
 
-def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
+def _steps(final: Estimate, order: Sequence[LocatedEffect], search: Search, as_given: Search) -> tuple[Step, ...]:
     """List the fits: the shear model, the modes numbered otherwise if they are, then one more effect at a time.
 
     The most probable effect comes first. All fits use the noise of the last one.
     """
+    fitter = search.fitter
+    otherwise = bool(fitter.numbering.changes)
     what = "the symmetric model" if fitter.experiment.symmetric else "the shear model"
-    what += "" if fitter is as_given else ", the modes numbered as given"
+    what += ", the modes numbered as given" if otherwise else ""
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
-    ways = [(what, order[:0], as_given)]
-    if fitter is not as_given:
-        ways.append(("with the modes numbered otherwise", order[:0], fitter))
-    ways += [(f"with {placed.label}", order[:count], fitter) for count, placed in enumerate(order, 1)]
+    ways = [(what, order[:0], as_given if otherwise else search)]
+    if otherwise:
+        ways.append(("with the modes numbered otherwise", order[:0], search))
+    ways += [(f"with {placed.label}", order[:count], search) for count, placed in enumerate(order, 1)]
     estimates = [*(_in_noise_of(final, effects, by) for _, effects, by in ways[:-1]), final]
     left_out = held_out_frequency_errors(estimates[0], final, fitter)
     held_out = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
@@ -122,25 +125,32 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
     )
 
 
-def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitter) -> Estimate:
+def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], search: Search) -> Estimate:
     """Fit the model with only some of the effects, in the final model's noise.
 
-    Start at the final parameters. If the model has no real modes there, or the modes are numbered otherwise, start at
-    the frame without effects.
+    Start at the fit of this set, at the final parameters or at the frame without effects, at the nearest first.
     """
-    wanted = (*fitter.assumed, *effects)
-    base = fitter.base or final
-    starts = [final, base] if final.experiment is fitter.experiment else [base]
+    fitter, known = search.fitter, search.visited.get(frozenset(effects))
+    near = [known.estimate] if known is not None else []
+    near += [final, search.base.estimate] if final.experiment is fitter.experiment else [search.base.estimate]
+    noise, inflation = final.misfit.noise, final.misfit.noise_inflation
+    starts = []
+    for each in near:
+        proposal = fitter.proposal(each, (*fitter.assumed, *effects))
+        misfit = proposal.misfit.replaced(noise=noise, noise_inflation=inflation)
+        with contextlib.suppress(errors.NoModesError):
+            starts.append((misfit.evaluate(proposal.starts[-1]), misfit, proposal.starts[-1]))
+    starts = ranking.ranked(starts, lambda start: -start[0].objective)
     fitter.fits += 1
-    for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
-        proposal = fitter.proposal(start, wanted)
-        misfit = proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
-        by = partial(fitted_with, misfit, proposal.starts[-1], accuracy=accuracy)
+    failure: errors.CvxshearError | None = None
+    # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough there.
+    for (at, misfit, theta), accuracy in (*((each, FULL) for each in starts), (starts[0], ROUGH)):
+        by = partial(fitted_with, misfit, theta, accuracy=accuracy, start=at)
         try:
             return with_stand_in(fitter.backend, by)[0]
         except (errors.NoModesError, errors.NoSolutionError) as error:
-            # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough here.
             failure = error
+    assert failure is not None
     raise failure
 
 
@@ -194,7 +204,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     )
     fitter.fits += 1
     try:
-        rest = fitted_with(misfit, estimate.theta, fitter.backend)
+        rest = fitted_with(misfit, estimate.theta, fitter.backend, ROUGH)
     except errors.CvxshearError:
         # The remaining data allow no prediction here; predictions elsewhere still count.
         return {}
