@@ -73,11 +73,10 @@ def compose(
         state = _applied(placed, state, theta, own)
     if frame:
         state = _assembled(state)
-        _refuse_not_finite(state.system, frame)
-    if acting[len(frame) :]:
-        for placed, own in acting[len(frame) :]:
-            state = _applied(placed, state, theta, own)
-        _refuse_not_finite(state.system, acting[len(frame) :])
+    for placed, own in acting[len(frame) :]:
+        state = _applied(placed, state, theta, own)
+    if acting:
+        _refuse_not_finite(state.system, acting)
     return state
 
 

@@ -46,7 +46,7 @@ class Evaluation(PlainResiduals):
         Model minus measurement in standard deviations: data and soft priors, then the priors of the effects, then the
         prior of the frame.
     J : ndarray, shape (d, P)
-        dr/dtheta for the requested columns; without rows if derivatives were not requested.
+        dr/dtheta; without rows if derivatives were not requested.
     models : tuple of data.Model
         One per tested state.
     measured, known : int
@@ -214,7 +214,7 @@ class Misfit:
         """Count the data, soft priors included."""
         return sum(datum.count for datum in self.data) + len(self._soft(theta)[0])
 
-    def evaluate(self, theta: Floats, *, derivatives: bool = True, by: slice = slice(None)) -> Evaluation:
+    def evaluate(self, theta: Floats, *, derivatives: bool = True) -> Evaluation:
         """Compute the residuals and their derivatives.
 
         Parameters
@@ -222,8 +222,6 @@ class Misfit:
         theta : ndarray, shape (P,)
             Floor masses without added mass, story stiffnesses, effect parameters.
         derivatives : bool, optional
-        by : slice, optional
-            The parameters of the derivatives. Default: all.
 
         Raises
         ------
@@ -235,7 +233,7 @@ class Misfit:
         models = {}
         for each in self.experiment.tested:
             state = composition.compose(self.experiment, each, self.effects, theta, derivatives=derivatives)
-            models[id(each)] = data.Model(state, by, derivatives)
+            models[id(each)] = data.Model(state, slice(None), derivatives)
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
         for datum, factor in zip(self.data, factors, strict=True):
@@ -248,7 +246,7 @@ class Misfit:
         unknown = [*of_data, np.array([places.get(key, -1) for key in more_keys], dtype=np.int64)]
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
-        more = [part[1][:, by] for part in (soft, expected, frame)]
+        more = [part[1] for part in (soft, expected, frame)]
         return Evaluation(
             r,
             np.concatenate([*rows, *more]) if derivatives else np.zeros((0, len(theta))),
@@ -258,6 +256,34 @@ class Misfit:
             tuple(len(part) for part in parts[1:]),
             np.concatenate(unknown),
         )
+
+    def slopes_by(self, theta: Floats, further: Sequence[LocatedEffect]) -> Floats:
+        """Compute the derivatives of data and soft priors by the parameters of further effects, at their null values.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (P,)
+        further : sequence of LocatedEffect
+            Effects with p parameters.
+
+        Returns
+        -------
+        ndarray, shape (measured, p)
+        """
+        more, by = self.replaced((*self.effects, *further)), slice(len(theta), None)
+        theta = np.concatenate([theta, [item.null for placed in further for item in placed.effect.parameters]])
+        models = {
+            id(each): data.Model(composition.compose(self.experiment, each, more.effects, theta), by, derivatives=True)
+            for each in self.experiment.tested
+            if any(placed.acts_on(each) for placed in further)
+        }
+        rows = [
+            datum.inflated_residual(models[id(datum.tested)], factor).J
+            if id(datum.tested) in models
+            else np.zeros((len(factor), more.parameters - self.parameters))
+            for datum, factor in zip(more.data, more._deviations[2], strict=True)
+        ]
+        return np.concatenate([*rows, more._soft(theta)[1][:, by]])
 
     @decorators.cached_property
     def _deviations(self) -> tuple[dict[str, int], list[Ints], list[Floats]]:

@@ -30,7 +30,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Scale
 from cvxshear.fit import domain, results
 from cvxshear.fit.efficient import Estimate, fitted_with
-from cvxshear.fit.gauss_newton import HOPELESS
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH
 from cvxshear.fit.next_test import next_test
 from cvxshear.model import transformation
 from cvxshear.util import errors, ranking
@@ -89,20 +89,31 @@ def equivalent_fits(estimate: Estimate, backend: Backend, unsuccessful: int = 20
     if roots is not None:
         searched = f"all {len(roots)} roots of the equations of {n} frequencies"
     found, since = [estimate], 0
-    worst = estimate.chi2 - 2.0 * np.log(LEAST_LIKELIHOOD)
     for start in _drawn(estimate) if roots is None else _near_real(roots, estimate):
         if since == patience and roots is None:
             break
         since += 1
-        try:
-            fit = fitted_with(estimate.misfit, np.concatenate([start, estimate.theta[2 * n :]]), backend)
-        except errors.CvxshearError:
-            continue
-        apart = [np.max(np.abs(np.log(fit.theta[: 2 * n] / other.theta[: 2 * n]))) for other in found]
-        if fit.chi2 < worst and min(apart) > INSEPARABLE:
-            found.append(fit)
+        new = _another(found, np.concatenate([start, estimate.theta[2 * n :]]), backend)
+        if new is not None:
+            found.append(new)
             since = 0
     return found[1:], searched
+
+
+def _another(found: Sequence[Estimate], theta: Floats, backend: Backend) -> Estimate | None:
+    """Fit a frame from a starting point; None if it fails, hardly fits, or is one of those found."""
+    n, worst = found[0].experiment.stories, found[0].chi2 - 2.0 * np.log(LEAST_LIKELIHOOD)
+    # A rough fit recognizes most frames.
+    for accuracy in (ROUGH, FULL):
+        try:
+            fit = fitted_with(found[0].misfit, theta, backend, accuracy)
+        except errors.CvxshearError:
+            return None
+        theta = fit.theta
+        apart = min(np.max(np.abs(np.log(theta[: 2 * n] / each.theta[: 2 * n]))) for each in found)
+        if fit.chi2 >= worst or apart <= INSEPARABLE:
+            return None
+    return fit
 
 
 def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:

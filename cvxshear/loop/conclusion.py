@@ -243,7 +243,7 @@ def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[resu
         chi2 = final.chi2
         if placed in fits.chi2_without:
             gain, dof = fits.chi2_without[placed] - final.chi2, final.dof
-        elif placed in linear.candidates:
+        elif placed in unseen:
             # Otherwise the derivatives at the null value carry no information on the effect here.
             gain = linear.decrease(placed)
             chi2 -= gain

@@ -11,6 +11,7 @@ Twins depend on the model and the measured quantities, not on the sets that a se
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -48,10 +49,10 @@ class Linearised:
         self.expectation = expectation
         self._free = base.free_directions
         self._reached = base.fit.at.J @ self._free
+        self._at = dict(composition.slices(self.candidates, 0))
         self._columns = self._sensitivities()
         self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
         self._slope = self._own.T @ base.fit.at.r
-        self._at = dict(composition.slices(self.candidates, 0))
         self._singles = _Singles(self.candidates, expectation)
 
     def _sensitivities(self) -> Floats:
@@ -59,15 +60,11 @@ class Linearised:
 
         The candidates take turns: every effect copies the derivatives of the matrices, of all effects beside it too.
         """
-        base, P = self.base, len(self.base.theta)
-        columns = np.zeros((len(base.fit.at.r), sum(len(placed.effect.parameters) for placed in self.candidates)))
-        rows, first = base.fit.at.measured, 0
-        for some in _of_about(P, self.candidates):
-            nulls = [item.null for placed in some for item in placed.effect.parameters]
-            misfit = base.misfit.replaced((*base.effects, *some))
-            found = misfit.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J[:rows]
-            columns[:rows, first : first + len(nulls)] = found
-            first += len(nulls)
+        base, size = self.base, sum(len(placed.effect.parameters) for placed in self.candidates)
+        columns = np.zeros((len(base.fit.at.r), size))
+        for some in _alike(self.candidates):
+            own = np.concatenate([np.arange(size)[self._at[placed]] for placed in some])
+            columns[: base.fit.at.measured, own] = base.misfit.slopes_by(base.theta, some)
         for placed, own in composition.slices(self.candidates, 0):
             if placed.effect.releases:
                 columns[:, own] += base.fit.at.J[:, : base.experiment.parameters] @ self._shift(placed)
@@ -335,17 +332,24 @@ class Linearised:
         return self._columns[: self.base.fit.at.measured, self._at[placed]]
 
 
-def _of_about(most: int, effects: Sequence[LocatedEffect]) -> Iterator[list[LocatedEffect]]:
-    """Divide effects, in order, into groups of at most so many parameters, or of one effect."""
-    group, size = list[LocatedEffect](), 0
+def _alike(effects: Sequence[LocatedEffect], most: int = 100) -> Iterator[list[LocatedEffect]]:
+    """Divide effects into groups of one state and test, of at most so many parameters, or of one effect.
+
+    Larger groups take more memory, and more time in a tall frame; smaller ones take more time in a low one.
+    """
+    of_state = defaultdict[tuple[str | None, str | None], list[LocatedEffect]](list)
     for placed in effects:
-        count = len(placed.effect.parameters)
-        if group and size + count > most:
-            yield group
-            group, size = [], 0
-        group.append(placed)
-        size += count
-    yield group
+        of_state[placed.place.state, placed.place.test].append(placed)
+    for alike in of_state.values():
+        group, size = list[LocatedEffect](), 0
+        for placed in alike:
+            count = len(placed.effect.parameters)
+            if group and size + count > most:
+                yield group
+                group, size = [], 0
+            group.append(placed)
+            size += count
+        yield group
 
 
 class _Singles:

@@ -105,7 +105,11 @@ class Posterior:
     @decorators.cached_property
     def _in_sets(self) -> dict[LocatedEffect, float]:
         """Probability of the sets that hold each effect, before the penalty for many causes."""
-        return {placed: min(self._any([placed]), 1.0) for placed in self._prior}
+        sums = dict.fromkeys(self._prior, 0.0)
+        for model, probability in zip(self.models, self.probabilities.tolist(), strict=True):
+            for placed in model.effects:
+                sums[placed] += probability
+        return {placed: min(probability, 1.0) for placed, probability in sums.items()}
 
     @decorators.cached_property
     def numberings(self) -> tuple[NumberingProbability, ...]:
@@ -197,6 +201,8 @@ class Posterior:
 
     def _any(self, alternatives: Sequence[LocatedEffect]) -> float:
         """Return the probability that one of these effects is present."""
+        if len(alternatives) == 1:
+            return self._in_sets[alternatives[0]]
         including = [not model.effects.isdisjoint(alternatives) for model in self.models]
         return float(self.probabilities[including].sum())
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -250,7 +250,7 @@ class Search:
                 rest = model.effects - {placed}
                 new = [rest | {twin} for twin in found.twins(placed) if not self._tried(rest | {twin})]
                 for base in self._without(model, [rest]) if new else []:
-                    self._visit(base.estimate, self.linearised(base), new, FULL)
+                    self._visit(base.estimate, self.linearised(base), new)
 
     def linearised(self, model: ModelClass) -> Linearised:
         """Linearise the model at the fit of a set, with all effects that the set lacks; the latest results are kept."""
@@ -331,7 +331,7 @@ class Search:
                     return True
         return False
 
-    def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], accuracy: Accuracy = ROUGH) -> None:
+    def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set]) -> None:
         """Fit these sets; each holds the effects of a fit and some that the fit lacks."""
         proposals = []
         for effects in dict.fromkeys(sets):
@@ -339,11 +339,11 @@ class Search:
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
             predicted = [] if motions else [linear.predicted(new)]
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
-        self._fit(proposals, accuracy)
+        self._fit(proposals)
 
-    def _fit(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> bool:
+    def _fit(self, proposals: Sequence[FitProposal]) -> bool:
         """Fit sets; return whether any fit was kept."""
-        return self._record(self.fitter.models(proposals, accuracy))
+        return self._record(self.fitter.models(proposals))
 
     def _record(self, models: Iterable[ModelClass]) -> bool:
         """Keep the better fit of each set; return whether any fit was kept."""
