@@ -16,13 +16,14 @@ which are the same in every set, so the constants of the frame's own prior cance
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import optimize, special
 
 from cvxshear import backends
+from cvxshear.data import NoiseFactors
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gauss_newton, gaussian
 from cvxshear.fit.efficient import Estimate, fitted
@@ -177,15 +178,34 @@ class Fitter:
         own = self.log_prior(effects)
         return np.array([self.log_prior(effects | {placed}) - own for placed in further])
 
-    def proposal(self, start: Estimate, effects: Sequence[LocatedEffect], more: Sequence[Floats] = ()) -> FitProposal:
-        """Propose a fit of these effects, started from a fit that shares some of them."""
+    def proposal(
+        self,
+        start: Estimate,
+        effects: Sequence[LocatedEffect],
+        more: Sequence[Floats] = (),
+        factors: Mapping[str, float] | None = None,
+    ) -> FitProposal:
+        """Propose a fit of these effects, started from a fit that shares some of them.
+
+        Parameters
+        ----------
+        start : Estimate
+        effects : sequence of LocatedEffect
+        more : sequence of ndarray, shape (P,), optional
+            Further starting points.
+        factors : mapping of str to float, optional
+            Factors on the unknown sizes of further effects to start with, by label. Default: 1.
+        """
         size = self.experiment.parameters
         values = {placed: start.theta[own] for placed, own in composition.slices(start.effects, size)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
         plain = np.concatenate([start.theta[:size], *own])
         if self.general is not None and any(placed.place.state is None for placed in effects):
             more = (*more, self._near_general(self.general, effects, plain))
-        return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
+        noise = NoiseFactors((*start.misfit.noise.factors, *(factors or {}).items()))
+        return FitProposal(
+            tuple(effects), (*more, plain), start.misfit.replaced(effects, noise), start.fit.at.objective
+        )
 
     def _near_general(self, general: Floats, effects: Sequence[LocatedEffect], start: Floats) -> Floats:
         """Find the frame with these effects that is nearest to the general one.

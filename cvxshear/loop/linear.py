@@ -12,7 +12,7 @@ Twins depend on the model and the measured quantities, not on the sets that a se
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import linalg, special
@@ -138,14 +138,16 @@ class Linearised:
         stds = self.expectation.of(placed)
         return np.where(np.isinf(stds), (upper - lower) / np.sqrt(12), stds)
 
-    def _likely_sizes(self, placed: LocatedEffect) -> Floats:
-        """Choose the standard deviations for a first prediction; a common size gets its most probable value."""
-        stds = self.expectation.of(placed)
-        if not placed.effect.common_size:
-            return stds
-        gains, sizes = self._gains_by_size(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
-        found: Floats = stds * np.exp(sizes[np.argmax(gains)])
-        return found
+    def likely_factors(self, placed: Sequence[LocatedEffect]) -> dict[str, float]:
+        """Find the most probable factors on the unknown common sizes and the open accuracy of some candidates."""
+        logs = {}
+        for each in placed:
+            if each.effect.rescales:
+                logs[each.label] = self._noise(each, self._reached, self.base.fit.at.r)[1]
+            elif each.effect.common_size:
+                gains, sizes = self._gains_by_size(each, self._own[:, self._at[each]], self.base.fit.at.r)
+                logs[each.label] = float(sizes[np.argmax(gains)])
+        return {label: float(np.exp(log)) for label, log in logs.items()}
 
     def forward(self, log_priors: Floats) -> list[LocatedEffect]:
         """List the effects that the linearised model adds in sequence, the most promising first, while it gains.
@@ -179,8 +181,14 @@ class Linearised:
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
-    def predicted(self, placed: Sequence[LocatedEffect]) -> Floats:
+    def predicted(self, placed: Sequence[LocatedEffect], factors: Mapping[str, float]) -> Floats:
         """Find the minimum of the linearised model with these effects, each within its bounds.
+
+        Parameters
+        ----------
+        placed : sequence of LocatedEffect
+        factors : mapping of str to float
+            `likely_factors` of the effects.
 
         Returns
         -------
@@ -192,7 +200,8 @@ class Linearised:
             return self.base.theta
         columns = np.concatenate([np.arange(self._at[each].start, self._at[each].stop) for each in placed])
         items = [item for each in placed for item in each.effect.parameters]
-        precision = np.concatenate([1.0 / self._likely_sizes(each) ** 2 for each in placed])
+        sizes = [self.expectation.of(each) * factors.get(each.label, 1.0) for each in placed]
+        precision = 1.0 / np.concatenate(sizes) ** 2
         null = np.array([item.null for item in items])
         h = self._own[:, columns].T @ self._own[:, columns] + np.diag(precision)
         change = -np.linalg.lstsq(h, self._slope[columns], rcond=None)[0]

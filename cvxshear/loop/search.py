@@ -337,8 +337,9 @@ class Search:
         for effects in dict.fromkeys(sets):
             new = [placed for placed in linear.candidates if placed in effects]
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
-            predicted = [] if motions else [linear.predicted(new)]
-            proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
+            factors = linear.likely_factors(new)
+            predicted = [] if motions else [linear.predicted(new, factors)]
+            proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted, factors))
         self._fit(proposals)
 
     def _fit(self, proposals: Sequence[FitProposal]) -> bool:
