@@ -18,7 +18,7 @@ from cvxshear.data.base import paired
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit import other_frames
 from cvxshear.fit.efficient import Estimate, fitted_with
-from cvxshear.fit.gauss_newton import FULL, ROUGH
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.posterior import Posterior
@@ -203,8 +203,9 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
         estimate.experiment, estimate.effects, {name: mask}, estimate.misfit.noise, estimate.misfit.expectation
     )
     fitter.fits += 1
+    far_off = estimate.chi2 > HOPELESS * estimate.fit.at.measured
     try:
-        rest = fitted_with(misfit, estimate.theta, fitter.backend, ROUGH)
+        rest = fitted_with(misfit, estimate.theta, fitter.backend, ROUGH if far_off else FULL)
     except errors.CvxshearError:
         # The remaining data allow no prediction here; predictions elsewhere still count.
         return {}

@@ -63,8 +63,8 @@ class Linearised:
         base, size = self.base, sum(len(placed.effect.parameters) for placed in self.candidates)
         columns = np.zeros((len(base.fit.at.r), size))
         for some in _alike(self.candidates):
-            own = np.concatenate([np.arange(size)[self._at[placed]] for placed in some])
-            columns[: base.fit.at.measured, own] = base.misfit.slopes_by(base.theta, some)
+            places = np.concatenate([np.arange(size)[self._at[placed]] for placed in some])
+            columns[: base.fit.at.measured, places] = base.misfit.slopes_by(base.theta, some)
         for placed, own in composition.slices(self.candidates, 0):
             if placed.effect.releases:
                 columns[:, own] += base.fit.at.J[:, : base.experiment.parameters] @ self._shift(placed)
@@ -181,14 +181,14 @@ class Linearised:
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
-    def predicted(self, placed: Sequence[LocatedEffect], factors: Mapping[str, float]) -> Floats:
+    def predicted(self, placed: Sequence[LocatedEffect], factors: Mapping[str, float] | None = None) -> Floats:
         """Find the minimum of the linearised model with these effects, each within its bounds.
 
         Parameters
         ----------
         placed : sequence of LocatedEffect
-        factors : mapping of str to float
-            `likely_factors` of the effects.
+        factors : mapping of str to float, optional
+            `likely_factors` of the effects. Default: 1.
 
         Returns
         -------
@@ -200,7 +200,7 @@ class Linearised:
             return self.base.theta
         columns = np.concatenate([np.arange(self._at[each].start, self._at[each].stop) for each in placed])
         items = [item for each in placed for item in each.effect.parameters]
-        sizes = [self.expectation.of(each) * factors.get(each.label, 1.0) for each in placed]
+        sizes = [self.expectation.of(each) * (factors or {}).get(each.label, 1.0) for each in placed]
         precision = 1.0 / np.concatenate(sizes) ** 2
         null = np.array([item.null for item in items])
         h = self._own[:, columns].T @ self._own[:, columns] + np.diag(precision)
