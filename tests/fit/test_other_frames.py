@@ -59,7 +59,7 @@ def frame_of(stories, seed):
     return mass, (2 * np.pi * modes_of(mass, stiffness)[0]) ** 2
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(9))
 def test_every_exact_frame_is_listed(seed):
     mass, eigenvalues = frame_of(3 + seed % 3, 1000 + seed)
     frequencies = (np.sqrt(eigenvalues) / (2 * np.pi)).tolist()

@@ -92,15 +92,6 @@ def test_intervals_of_the_mean_cover(tests):
     assert np.mean(hits, axis=0)[2:].min() > 0.91
 
 
-def test_intervals_of_the_stories_cover():
-    """Ten repeats, forty times: 120 stiffnesses, of which 114 are expected within 1.96 deviations."""
-    rng, within = np.random.default_rng(7), 0
-    for _ in range(40):
-        found = identify(declared(repeats={"frequencies": drawn(rng, 10).tolist()})).frame
-        within += int(np.sum(np.abs(found.story_stiffness - STIFFNESS) < 1.96 * found.story_stiffness_std))
-    assert 106 <= within <= 120
-
-
 def in_blocks(rng, blocks, tests, between):
     days = np.repeat(rng.multivariate_normal(np.zeros(3), between * COVARIANCE, blocks), tests, axis=0)
     names = [f"day {each + 1}" for each in range(blocks) for _ in range(tests)]
