@@ -42,7 +42,7 @@ def test_one_motion_per_floor_is_the_shear_frame():
 
 
 def test_centers_of_mass_and_of_stiffness():
-    """The mass center is that of the point masses; a force at the center of stiffness does not turn the floor."""
+    """The point masses have the same mass center; a force at the center of stiffness does not turn the floor."""
     frame = random_frame(3, seed=7)
     a, b = parameters(frame)
     masses = affine_system(THREE_MOTIONS, a, b).M

@@ -25,7 +25,7 @@ def symmetric_frame(*, seed=3):
 
 
 def experiment_of(frame):
-    """Test the frame in two states, the second of which may change."""
+    """Test the frame in two states; the second one may change."""
     declared = frame.experiment(6).to_dict()
     declared["frame"] |= {"plan": list(frame.plan), "story_heights": HEIGHTS, "reference": "test"}
     declared["configuration"].append(declared["configuration"][0] | {"name": "after"})

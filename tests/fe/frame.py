@@ -57,7 +57,7 @@ class Building:
     attached: tuple[tuple[int, float, float], ...] = ()
     """Masses on springs that floors carry: floor, mass and spring."""
     wall_bending: float = 0.0
-    """EI of a wall without mass, clamped at the ground, whose nodes sway with the floors."""
+    """EI of a wall without mass, clamped at the ground, with nodes that sway with the floors."""
     wall_top: int | None = None
     """Floor at the top of the wall; the roof by default."""
 

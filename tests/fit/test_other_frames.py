@@ -95,7 +95,7 @@ def test_frames_of_few_sensors_are_searched_from_random_points():
 
 
 def test_data_that_determine_the_frame_have_no_other():
-    """With shapes at all floors there are more data than unknowns, and nothing is searched."""
+    """With shapes at all floors there are more data than unknowns, so no search is needed."""
     f, shapes = modes_of([5.36] * 3, [52.5e3, 57.6e3, 66.1e3])
     table = {"frequencies": list(f), "mode_shapes": np.asarray(shapes).tolist()}
     assert identify({**BENCH, "configuration": [table]}).other_frames == ()

@@ -19,7 +19,6 @@ from tests.studies.calibration import Trial, outcome
 from tests.studies.outside import simulated
 
 N = 5
-SCALE = Scale(10.0, 2e4, np.ones(N))
 
 
 def noisy_test(frequencies, shapes, rng, *, accuracy=1e-3, **keys):

@@ -124,7 +124,7 @@ def test_blocks_that_do_not_differ_are_one_sample():
 
 
 def test_repeated_shapes_have_their_own_scales_and_signs():
-    """The deviation of the mean of R shapes is that of one over the root of R, and Student's for few."""
+    """The mean of R shapes has the deviation of one shape over the root of R, and Student's for few."""
     rng, shape = np.random.default_rng(5), np.array([[0.4, 0.8, 1.0], [-1.0, -0.4, 0.9]])
     shapes = shape + 0.01 * rng.standard_normal((40, 2, 3))
     scales = rng.uniform(0.5, 2.0, (40, 2, 1)) * rng.choice([-1.0, 1.0], (40, 2, 1))

@@ -77,6 +77,7 @@ def test_the_statistics_by_hand():
     # One story has no ratio: its mass is the total. A sample without an answer is counted and left out.
     assert np.isnan(scatter.ratio[0])
     assert (scatter.to_dict()["ratio"][0], scatter.to_dict()["failures"]) == (None, 1)
+    assert (scatter.samples, scatter.failures) == (4, 1)
 
 
 def test_all_methods_see_the_same_samples_and_a_seed_repeats_them():

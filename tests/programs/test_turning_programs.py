@@ -7,9 +7,6 @@ import cvxshear
 from cvxshear import programs
 from tests.fe.plan_frames import random_frame
 
-# Fewest modes that determine 2 to 8 floors.
-MODES = {2: 6, 3: 6, 4: 7, 5: 9, 6: 9, 7: 10, 8: 12}
-
 
 def expected_masses(frame):
     moments = frame.floor_mass[:, None] * frame.mass_center

@@ -3,7 +3,8 @@
 `python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 40]` draws changes (a sign,
 an operator, a comparison, a constant, a negated condition, a dropped return) over the package. It runs the related
 tests on a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the
-others. A change that makes the tests exceed the time limit counts as found.
+others. A change that makes the tests exceed the time limit counts as found. Changes without any effect are left out:
+annotations, messages, choices of a word, printed forms and guards against division by zero.
 
 The related tests follow from the imports and names in each file, see `tests_of`; no recording is needed.
 """
@@ -58,6 +59,9 @@ LIMIT_OF_ROUNDING = 1e-3
 """Limit of a tolerance: smaller numbers are tolerances. A factor of two does not matter for these, so they are
 multiplied by a thousand."""
 
+TINY = 1e-100
+"""Limit of a number that only keeps a divisor or a logarithm from zero: no result of a frame is so small."""
+
 
 @dataclass(frozen=True)
 class Mutant:
@@ -81,7 +85,8 @@ def mutants(module):
 
 
 def _not_changed(tree):
-    """Return nodes without effect on results: annotations, texts, messages, docstrings."""
+    """Return nodes without effect on results: annotations, messages, docstrings, choices of a word, printed forms, and
+    the tiny numbers that only keep a divisor from zero."""
     found = set()
     for node in ast.walk(tree):
         parts = [getattr(node, key, None) for key in ("annotation", "returns", "decorator_list", "bases")]
@@ -89,11 +94,21 @@ def _not_changed(tree):
             parts.append(node)
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
             parts.append(node)
+        if isinstance(node, ast.IfExp) and all(_is_text(each) for each in (node.body, node.orelse)):
+            parts.append(node)
+        if isinstance(node, ast.FunctionDef) and node.name in ("__repr__", "__str__"):
+            parts.append(node)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < TINY:
+            parts.append(node)
         for part in parts:
             for each in part if isinstance(part, list) else [part]:
                 if each is not None:
                     found.update(id(inner) for inner in ast.walk(each))
     return found
+
+
+def _is_text(node):
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
 def change(node, *, apply):
