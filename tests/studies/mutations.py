@@ -86,7 +86,7 @@ def mutants(module):
 
 def _not_changed(tree):
     """Return nodes without effect on results: annotations, messages, docstrings, choices of a word, printed forms, and
-    the tiny numbers that only keep a divisor from zero."""
+    tiny numbers that only keep a divisor from zero."""
     found = set()
     for node in ast.walk(tree):
         parts = [getattr(node, key, None) for key in ("annotation", "returns", "decorator_list", "bases")]
@@ -318,10 +318,9 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A pytest plugin that sorts tests by the calls between them and a change, then by shared words; rare words come
-    first.
+    """A pytest plugin that sorts tests by the calls between them and a change, then by shared words for their time.
 
-    It records the first failing test and skips the remaining tests after the time limit.
+    Rare words count more. It records the first failing test and skips the remaining tests after the time limit.
     """
 
     def __init__(self, path, names, said, seconds):
@@ -331,12 +330,15 @@ class Watcher:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
         """Sort again by nearness, because `conftest` puts the longest tests first."""
+        from tests.conftest import COSTLY, costs  # noqa: PLC0415 - those of the copy
+
         shared = {item: self._said & parts_of(" ".join(said_in(item))) for item in items}
         often = Counter(word for words in shared.values() for word in words)
 
         def place(item):
             calls = min((self._names[each] for each in said_in(item) & self._names.keys()), default=FARTHEST)
-            return calls, -sum(1.0 / often[word] for word in shared[item])
+            near = sum(1.0 / often[word] for word in shared[item])
+            return calls, -near / max(costs().get(item.nodeid, 0.0), COSTLY)
 
         items.sort(key=place)
 
