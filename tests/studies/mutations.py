@@ -1,6 +1,6 @@
 """Test whether the tests notice a wrong sign: change copies of modules slightly, and run the related tests.
 
-`python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 40]` draws changes (a sign,
+`python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 120]` draws changes (a sign,
 an operator, a comparison, a constant, a negated condition, a dropped return) over the package. It runs the related
 tests on a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the
 others. A change that makes the tests exceed the time limit counts as found. Changes without any effect are left out:
@@ -458,8 +458,8 @@ def main():
     parser.add_argument("--mutants", type=int, default=30, help="how many changes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/start.py; again")
-    parser.add_argument("--seconds", type=int, default=40, help="of computing, after which no further test is begun")
-    parser.add_argument("--limit", type=int, default=120, help="seconds of computing for the tests of one change")
+    parser.add_argument("--seconds", type=int, default=120, help="of computing, after which no further test is begun")
+    parser.add_argument("--limit", type=int, default=200, help="seconds of computing for the tests of one change")
     given = parser.parse_args()
     some = drawn(given.mutants, given.seed, given.module)
     sys.dont_write_bytecode = True
