@@ -9,7 +9,6 @@ from tests import frames
 from tests.studies import hard_frames
 from tests.studies.hard_programs import KINDS, exactly, study
 
-
 FRAMES = 5
 """Number of badly conditioned frames."""
 
