@@ -34,17 +34,7 @@ TESTS = (
 def lowest_versions(project: dict[str, Any], extras: tuple[str, ...] = ("test",)) -> dict[str, str]:
     """Return the lowest version of every requirement of a project and its extras, by the requirement's name.
 
-    Parameters
-    ----------
-    project : dict
-        The table ``project`` of a pyproject.toml.
-    extras : tuple of str
-        The requested extras.
-
-    Raises
-    ------
-    ValueError
-        If a requirement has no lowest version.
+    A requirement without a lowest version is a ValueError.
     """
     found: dict[str, str] = {}
     waiting, seen = [*extras], set(extras)

@@ -5,18 +5,16 @@ import os
 import pickle
 import subprocess
 import sys
-import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.effects import Effect, LocatedEffect, Parameter, Place
-from cvxshear.effects.composition import compose
-from cvxshear.fit.results import Identification
+from cvxshear.effects import Effect, Parameter
 from cvxshear.records import from_arrays
 from cvxshear.records.motion import DrivenRecord, DrivenRun
+from tests import closed
 from tests.frames import configuration, experiment
 
 MASS, STIFFNESS = [10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0]
@@ -58,7 +56,7 @@ def test_the_arrays_of_a_copy_are_read_only(copied):
 
 
 def test_the_callers_floating_point_traps_are_not_the_librarys():
-    expected = cvxshear.close_loop("paper")
+    expected = closed.paper()
     with np.errstate(all="raise"):
         found = cvxshear.close_loop("paper")
         solution = cvxshear.programs.one_shot_masses("paper", configuration="Structure 1").solve("clarabel")
@@ -66,12 +64,6 @@ def test_the_callers_floating_point_traps_are_not_the_librarys():
     assert found.verdict == expected.verdict
     np.testing.assert_array_equal(found.frame.floor_mass, expected.frame.floor_mass)
     assert solution.x.sum() == pytest.approx(31.33)
-
-
-def test_a_type_checker_sees_a_frame_that_is_never_none():
-    for name in ("frame", "fit"):
-        hint = typing.get_type_hints(getattr(Identification, name).fget)["return"]
-        assert isinstance(hint, type)
 
 
 def run(*words, **environment):
@@ -138,13 +130,6 @@ def test_an_effect_that_is_wrong_at_one_floor_is_named(effect, said):
     """The check at registration uses the first and the last place only."""
     with pytest.raises(cvxshear.FaultyEffectError, match=said):
         cvxshear.close_loop(three_stories(), effects=[effect])
-
-
-def test_an_effect_that_is_not_finite_is_named_with_its_place():
-    of = cvxshear.Experiment.from_dict(three_stories())
-    placed = [LocatedEffect(Broken(), Place(floor=2))]
-    with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):
-        compose(of, of.tested[0], placed, np.array([*MASS, *STIFFNESS, 1.0]))
 
 
 def test_a_masked_sample_of_a_response_is_missing():

@@ -156,11 +156,6 @@ def test_a_name_means_one_thing():
     assert parameters == []
 
 
-def test_names_in_tuples_are_seen():
-    tree = ast.parse("A, (B, C) = 1, (2, 3)\nD: int = 4\nE = F = 5\n")
-    assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]
-
-
 BUDGET = {"lines of code": 25_710, "modules": 150, "numeric constants": 345, "lines of imports": 1_980}
 """Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
 

@@ -9,10 +9,13 @@ from tests import frames
 from tests.studies import hard_frames
 from tests.studies.hard_programs import KINDS, exactly, study
 
+FRAMES = 5
+"""Number of badly conditioned frames."""
+
 
 @pytest.fixture(scope="module")
 def tally():
-    return study(63, 5)
+    return study(5 * len(KINDS), 5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -85,16 +88,16 @@ def test_frames_of_extreme_stiffness_are_right_or_refused(method, stiffness):
 
 @pytest.fixture(scope="module")
 def hard_frame_study():
-    return hard_frames.study(8, 5, backends.available())
+    return hard_frames.study(FRAMES, 5, backends.available())
 
 
 def test_the_efficient_method_is_equal_on_all_backends_or_refused(hard_frame_study):
     counts, differing, _, _ = hard_frame_study
     assert differing == []
-    assert sum(each["answered"] for each in counts.values()) > 0.8 * 8 * len(counts)
+    assert sum(each["answered"] for each in counts.values()) > 0.8 * FRAMES * len(counts)
 
 
-@pytest.mark.parametrize("number", range(8))
+@pytest.mark.parametrize("number", range(FRAMES))
 def test_hard_frames_are_found_within_their_deviations(number):
     declared, truth = hard_frames.drawn(np.random.default_rng([6, number]))
     frame = identify(Experiment.from_dict(declared)).frame

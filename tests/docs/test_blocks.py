@@ -221,16 +221,12 @@ def test_a_changed_number_is_seen():
     assert missing("b\na", "a\nb") == ["a"]
 
 
-def test_a_failing_block_is_seen(tmp_path):
+def test_a_failing_block_or_command_is_seen(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("```python\nx = 1\n```\n\n```python\nprint(x)\n1 / 0\n```\n")
     printed = runner.run_page(page)
     assert "ZeroDivisionError" in printed["error"]
     assert "line 5" not in printed["error"]
     assert "block at line 6" in printed["error"]
-
-
-def test_a_command_that_fails_is_seen(tmp_path):
-    page = tmp_path / "page.md"
     page.write_text("```console\n$ cvxshear identify nowhere.toml\n```\n")
     assert "exit status 2" in runner.run_page(page)["error"]

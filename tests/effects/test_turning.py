@@ -6,7 +6,7 @@ import pytest
 import cvxshear
 from cvxshear.effects import LocatedEffect, Place, compose, named, open_classes
 from cvxshear.effects.stories import SIDES
-from tests.fe.plan_frames import PlanFrame, random_frame
+from tests.fe.plan_frames import PlanFrame
 
 STORIES = 3
 HEIGHTS = [4.0, 3.0, 3.5]
@@ -25,7 +25,7 @@ def symmetric_frame(*, seed=3):
 
 
 def experiment_of(frame):
-    """Test the frame in two states, the second of which may change."""
+    """Test the frame in two states; the second one may change."""
     declared = frame.experiment(6).to_dict()
     declared["frame"] |= {"plan": list(frame.plan), "story_heights": HEIGHTS, "reference": "test"}
     declared["configuration"].append(declared["configuration"][0] | {"name": "after"})
@@ -182,12 +182,3 @@ def test_derivatives_are_difference_quotients(name):
             quotient = (getattr(up, matrix) - getattr(down, matrix)) / (2 * h)
             size = np.max(np.abs(getattr(here, matrix))) / max(abs(value), 1.0)
             np.testing.assert_allclose(getattr(here, slopes)[parameter] / size, quotient / size, atol=1e-8)
-
-
-def test_without_effects_the_symmetric_frame_has_the_modes_of_its_columns():
-    frame = random_frame(3, 5, symmetric=True)
-    experiment = experiment_of(frame)
-    state = compose(experiment, experiment.configurations[0], [], parameters_of(frame), derivatives=False)
-    M, K = frame.matrices
-    close(state.system.M, M)
-    close(state.system.K, K)

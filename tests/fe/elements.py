@@ -25,17 +25,7 @@ POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True)
 class Section:
-    """A member's cross section, including its material.
-
-    Parameters
-    ----------
-    bending : float
-        EI, N m2.
-    axial : float
-        EA, N.
-    line_mass : float, optional
-        kg/m.
-    """
+    """A member's cross section, including its material: EI, N m2; EA, N; kg/m."""
 
     bending: float
     axial: float

@@ -41,35 +41,13 @@ def simulated(
     measured_floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame with effects that the shear model lacks, or without an effect.
+    """Return the tests of a frame with effects that the shear model lacks, and the truth.
 
-    Parameters
-    ----------
-    effect : str, sequence of str, or None
-        Names of the catalogue.
-    stories, configurations : int
-    rng : numpy.random.Generator
-        Draws floor masses, story stiffnesses, the effects' places if not given, and the noise, in this order.
-    size : float, optional
-        The effect's parameter in the catalogue's unit; see `practical_size` for the default.
-    floor, story, configuration : int, optional
-        Place of the effect, counted from 1.
-    added_mass : array_like, shape (configurations, stories), optional
-        kg; by default nothing in configuration 1 and 6 kg on one floor in each other, from the top down.
-    noise : float, optional
-        Factor on the declared standard deviations: 0.1 % of each frequency, 1 % of each mode's largest entry.
-    measured_floors : sequence of int, optional
-    modes : int, optional
-        Number of modes, from the lowest.
-
-    Returns
-    -------
-    experiment : dict
-        For `cvxshear.Experiment.from_dict`.
-    truth : dict
-        `floor_mass`, `story_stiffness`, `effects` (names and places), and `frequencies` and `mode_shapes` with one
-        entry per configuration (all modes, all floors, no noise; with the sensors' gains). For one effect or none, also
-        `effect`, `floor`, `to`, `story`, `configuration` (its name) and `size`.
+    The generator draws floor masses, story stiffnesses, the effects' places if not given, and the noise, in this order.
+    Places count from 1; `practical_size` is the default size. By default configuration 1 carries nothing and each other
+    one 6 kg on one floor, from the top down. `noise` is a factor on the declared standard deviations, `modes` a number
+    from the lowest. The truth's frequencies and shapes have all modes at all floors, without noise but with the
+    sensors' gains. For one effect or none, it also has the effect's name, place and size.
     """
     frame = _drawn(stories, rng)
     added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
@@ -114,29 +92,10 @@ def simulated_as_drawn(
     measured_floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame with given masses, stiffnesses, effects and noise.
+    """Return the tests and the truth like `simulated`, for given masses, stiffnesses, effects and noise.
 
-    Parameters
-    ----------
-    there : sequence of (str, float, dict)
-        Name, size and place of each effect.
-    floor_mass, story_stiffness : ndarray, shape (n,)
-    added_mass : ndarray, shape (configurations, n)
-    rng : numpy.random.Generator
-        Draws the noise.
-    noise : tuple of float, optional
-        Standard deviations of frequencies and of shapes.
-    noise_declared : bool, optional
-    total_mass_error : float, optional
-        Relative error: sum of m = declared total (1 + this).
-    measured_floors : sequence of int, optional
-    modes : int, optional
-        Number of modes, from the lowest.
-
-    Raises
-    ------
-    ValueError
-        If the frame is unstable.
+    An effect is its name, size and place. `noise` has the deviations of frequencies and of shapes. The masses' sum is
+    the declared total times one plus `total_mass_error`. An unstable frame is a ValueError.
     """
     frame = Building(np.full(len(floor_mass), HEIGHT), story_stiffness, floor_mass)
     experiment: dict[str, Any] = {
@@ -173,22 +132,9 @@ def placed_at_random(effect: str, stories: int, configurations: int, rng: np.ran
 def simulated_attachment(
     *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that carries a mass on a spring, without a measurement of its own mode.
+    """Return the tests of a frame that carries a mass on a spring, without that mass's own mode, and the truth.
 
-    Parameters
-    ----------
-    stories, configurations : int
-    rng : numpy.random.Generator
-    floor : int
-    part : float
-        The mass, relative to the mass of all floors.
-    tuning : float
-        Its frequency on a fixed floor, relative to the first frequency of the frame without it.
-
-    Returns
-    -------
-    experiment, truth : dict
-        See `simulated`; the truth has `floor_mass`, `story_stiffness`, `mass`, `frequency`.
+    `part` is the mass relative to all floors; `tuning` is its frequency on a fixed floor relative to the frame's first.
     """
     frame = _drawn(stories, rng)
     mass, frequency = part * frame.floor_mass.sum(), tuning * sway_modes(frame).frequencies[0]

@@ -20,76 +20,46 @@ LEAST_IN_SWAY = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A frame of n stories. Parts left at their defaults are rigid, fixed or absent: a shear frame.
-
-    Parameters
-    ----------
-    heights : ndarray, shape (n,)
-        Story heights, m.
-    story_stiffness : ndarray, shape (n,)
-        12 EI / h^3, summed over a story's columns, N/m. The columns' EI follows from it.
-    floor_mass : ndarray, shape (n,)
-        All mass that moves with a floor, kg: added mass, and half the columns of either adjoining story.
-    column_x : tuple of float, optional
-        Positions of the columns, m; at least two.
-    column_share : tuple of float, optional
-        The columns' shares of each story's stiffness, of its own mass and of the weight; equal if empty.
-    beam_bending : ndarray, shape (n,), optional
-        EI of a floor's beams, the same in every bay, N m2; rigid if None.
-    column_axial : ndarray, shape (n,), optional
-        EA of each column of a story, N; inextensible if None.
-    rocking_stiffness : float, optional
-        Stiffness of the spring under the rigid base, N m/rad.
-    column_base : float, optional
-        Stiffness of the spring under each column's foot, N m/rad; 0 is a hinge.
-    ground_springs : mapping of int to float, optional
-        Springs from a floor to the ground, N/m.
-    column_mass : float, optional
-        Mass of all columns of one story, kg, the same in every story.
-    gravity : float, optional
-        m/s2; 0 leaves the weight out.
-    on_frame : float, optional
-        The part of the weight that the frame's own columns carry; the rest stands on rigid props, hinged at
-        both ends, that lean with the floors.
-    vertical_inertia : bool, optional
-        Whether floor masses also move up and down. Their distribution over the joints follows the columns' shares.
-    pieces : int, optional
-        Number of elements per column.
-    connections : mapping of int to float, optional
-        For a floor: the spring between each column and the floor's beams, N m/rad; rigid if absent.
-    ties : tuple of (int, int, float), optional
-        Diagonals from the first column at a lower floor to the last column at a higher one: the floors and EA, N.
-    brace_axial : ndarray, shape (n,), optional
-        EA of each of the two crossing diagonals of a story, hinged between the first and the last column, N.
-    attached : tuple of (int, float, float), optional
-        Masses on springs that floors carry: floor, mass, kg, and the spring, N/m.
-    wall_bending : float, optional
-        EI of a wall without mass, clamped at the ground, whose nodes sway with the floors, N m2; 0 for none.
-    wall_top : int, optional
-        Floor at the top of the wall; the roof by default.
-    """
+    """A frame of n stories; parts left at their defaults are rigid, fixed or absent: a shear frame. Units: m, N, kg."""
 
     heights: Floats
     story_stiffness: Floats
+    """12 EI / h^3, summed over a story's columns. The columns' EI follows from it."""
     floor_mass: Floats
+    """All mass that moves with a floor: added mass, and half the columns of either adjoining story."""
     column_x: tuple[float, ...] = (-0.25, 0.25)
+    """Positions of the columns; at least two."""
     column_share: tuple[float, ...] = ()
+    """The columns' shares of each story's stiffness, of its own mass and of the weight; equal if empty."""
     beam_bending: Floats | None = None
+    """EI of a floor's beams, the same in every bay."""
     column_axial: Floats | None = None
+    """EA of each column of a story."""
     rocking_stiffness: float = RIGID
     column_base: float = RIGID
+    """Stiffness of the spring under each column's foot; 0 is a hinge."""
     ground_springs: Mapping[int, float] = field(default_factory=dict)
     column_mass: float = 0.0
+    """Mass of all columns of one story, the same in every story."""
     gravity: float = 0.0
     on_frame: float = 1.0
+    """Part of the weight on the frame's own columns. The rest stands on rigid props that lean with the floors."""
     vertical_inertia: bool = False
+    """Whether floor masses also move up and down, distributed over the joints like the columns' shares."""
     pieces: int = 1
+    """Number of elements per column."""
     connections: Mapping[int, float] = field(default_factory=dict)
+    """For a floor: the spring between each column and the floor's beams."""
     ties: tuple[tuple[int, int, float], ...] = ()
+    """Diagonals from the first column at a lower floor to the last column at a higher one: the floors and EA."""
     brace_axial: Floats | None = None
+    """EA of each of the two crossing diagonals of a story, hinged between the first and the last column."""
     attached: tuple[tuple[int, float, float], ...] = ()
+    """Masses on springs that floors carry: floor, mass and spring."""
     wall_bending: float = 0.0
+    """EI of a wall without mass, clamped at the ground, with nodes that sway with the floors."""
     wall_top: int | None = None
+    """Floor at the top of the wall; the roof by default."""
 
     @property
     def stories(self) -> int:
@@ -108,14 +78,9 @@ class Building:
 
 
 class SwayModes(NamedTuple):
-    """The n sway modes of a frame, in ascending order.
+    """The n sway modes of a frame, in ascending order: frequencies in Hz, and sway of the floors.
 
-    Attributes
-    ----------
-    frequencies : ndarray, shape (n,)
-        Hz.
-    shapes : ndarray, shape (n, n)
-        Sway of the floors, one column per mode, normalized by all mass of the frame, largest entry positive.
+    Shapes have one column per mode, are normalized by all mass of the frame, and have a positive largest entry.
     """
 
     frequencies: Floats
@@ -123,12 +88,9 @@ class SwayModes(NamedTuple):
 
 
 def sway_modes(building: Building) -> SwayModes:
-    """Return the modes with sideways motion of floors: the n modes with the largest share of kinetic energy in sway.
+    """Return the n modes with the largest share of kinetic energy in sway.
 
-    Raises
-    ------
-    ValueError
-        If the frame is unstable, or sway modes mix with other motion.
+    An unstable frame, or sway modes mixed with other motion, are a ValueError.
     """
     model = assemble(building)
     eigenvalues, shapes = model.modes()

@@ -20,15 +20,7 @@ Motion = dict[Hashable, float]
 
 @dataclass(frozen=True)
 class Node:
-    """A point of the frame, and its displacements in terms of the coordinates.
-
-    Parameters
-    ----------
-    x, y : float
-        m.
-    ux, uy, turn : Motion
-        Displacements, m, and anticlockwise rotation.
-    """
+    """A point of the frame, m, and its displacements and anticlockwise rotation in terms of the coordinates."""
 
     x: float
     y: float

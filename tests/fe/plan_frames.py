@@ -19,16 +19,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlanFrame:
-    """A frame of rigid floors.
+    """A frame of rigid floors with a plan of two sizes, m.
 
-    Parameters
-    ----------
-    plan : tuple of (float, float)
-        Sizes of the floors, m.
-    columns : list of ndarray, shape (c, 5), one a story
-        x, y, stiffness along and across an axis, N/m, and the angle of that axis from x.
-    weights : list of ndarray, shape (w, 3), one a floor
-        x, y, kg.
+    Each story has columns, rows of x, y, stiffness along and across an axis, N/m, and the angle of that axis from x.
+    Each floor has weights, rows of x, y and kg.
     """
 
     plan: tuple[float, float]

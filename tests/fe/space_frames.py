@@ -21,16 +21,7 @@ from tests.fe.model import Model, Motion
 class Bar:
     """Cross section of a member in space, including its material.
 
-    Parameters
-    ----------
-    axial : float
-        EA, N.
-    bending : tuple of (float, float)
-        EI, N m2, of displacements along the second and the third axis of the member.
-    torsion : float
-        GJ, N m2.
-    line_mass : float
-        kg/m.
+    It has EA, N; EI for displacements along the second and the third axis of the member, N m2; GJ, N m2; and kg/m.
     """
 
     axial: float
@@ -42,15 +33,7 @@ class Bar:
 def bar_stiffness(bar: Bar, near: Floats, far: Floats, second: Floats, hinged: bool = False) -> Floats:
     """Return the stiffness for displacements and rotations (x, y, z each) of both ends, shape (12, 12).
 
-    Parameters
-    ----------
-    bar : Bar
-    near, far : ndarray, shape (3,)
-        Places of the ends, m.
-    second : ndarray, shape (3,)
-        Unit vector across the member.
-    hinged : bool, optional
-        Whether the near end carries no moments.
+    `second` is a unit vector across the member. The near end of a hinged member carries no moments.
     """
     length = float(np.linalg.norm(far - near))
     first = (far - near) / length
@@ -82,17 +65,10 @@ Place = tuple[int, float, float]
 
 @dataclass
 class SpaceFrame:
-    """Members between joints of floors that are rigid in their plane.
+    """Members between joints of floors that are rigid in their plane; each story has this height, m.
 
-    Coordinates ("x", i), ("y", i) and ("rotation", i) move floor i at the center of its plan.
-
-    Parameters
-    ----------
-    height : float
-        Of each story, m.
-    stories : int
-    upright : bool, optional
-        Whether joints neither rise nor turn about x and y: floors and beams are rigid.
+    Coordinates ("x", i), ("y", i) and ("rotation", i) move floor i at the center of its plan. If `upright`, joints
+    neither rise nor turn about x and y: floors and beams are rigid.
     """
 
     height: float
@@ -131,16 +107,8 @@ class SpaceFrame:
     ) -> Experiment:
         """Measure the lowest modes, three a floor, entries off by `noise` of the largest, frequencies by a fifth.
 
-        Parameters
-        ----------
-        sides : tuple of (float, float)
-            Plan, m. Each floor has two sensors of each direction, at the middle of its sides.
-        noise : float, optional
-        seed : int, optional
-        std : float, optional
-            Declared standard deviation of an entry; a fifth of it of a frequency.
-        **frame
-            Keys of the frame.
+        Each floor has two sensors of each direction, at the middle of its sides. `std` is declared for the entries, a
+        fifth of it for the frequencies.
         """
         rng = np.random.default_rng(seed)
         a, b = 0.5 * sides[0], 0.5 * sides[1]
@@ -181,13 +149,7 @@ LOOSE_BEAM = ((1, 0.0, -SIDE), (1, 0.0, 0.0))
 def iasc_asce(pattern: int = 0, *, heavy_slab: bool = True, rigid: bool = False) -> SpaceFrame:
     """Build the benchmark of the IASC-ASCE task group, phase I: 12 degrees of freedom if `rigid`, otherwise 120.
 
-    Parameters
-    ----------
-    pattern : int
-        Damage, 0 to 6.
-    heavy_slab : bool, optional
-        Whether one slab of the roof weighs 550 kg: cases 4 (`rigid`) and 5.
-    rigid : bool, optional
+    The patterns of damage are 0 to 6. In cases 4 (`rigid`) and 5 one slab of the roof weighs 550 kg.
     """
     frame = SpaceFrame(0.9, 4, upright=rigid)
     grid, edges = (-SIDE, 0.0, SIDE), (-SIDE, SIDE)

@@ -56,22 +56,6 @@ def test_an_effect_sits_where_it_was_put(effect):
     assert_explained(declared, truth)
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_places_drawn_are_places_of_the_catalogue(effect):
-    (found,) = named([effect])
-    for seed in range(6):
-        declared, truth = simulated(effect, stories=3, configurations=2, rng=np.random.default_rng(seed))
-        assert place_of(truth) in found.places(Experiment.from_dict(declared))
-
-
-def test_the_same_seed_is_the_same_experiment():
-    first, second, third = (
-        simulated("gravity", stories=3, configurations=2, rng=np.random.default_rng(seed))[0] for seed in (4, 4, 5)
-    )
-    assert first == second
-    assert first != third
-
-
 def test_noise_is_what_it_is_declared_to_be():
     """Standardized differences of 400 tests have zero mean and unit deviation, each within four standard errors."""
     true = SwayModes(np.array([2.0, 5.0]), np.array([[0.1, 0.4], [0.2, -0.3]]))
@@ -85,20 +69,6 @@ def test_noise_is_what_it_is_declared_to_be():
         assert abs(z.std() - 1) < 4 / np.sqrt(2 * z.size)
     assert (tests[0]["frequency_std"], tests[0]["mode_shape_std"]) == (0.001, 0.01)
     assert tests[0]["mode_shape_noise"] == "additive"
-
-
-def test_fewer_sensors_and_modes():
-    rng = np.random.default_rng(7)
-    declared, _ = simulated(None, stories=4, configurations=2, rng=rng, measured_floors=[2, 4], modes=3)
-    tested = Experiment.from_dict(declared)
-    for each in tested.configurations:
-        assert each.mode_shapes.shape == (3, 2)
-        np.testing.assert_array_equal(each.measured_floors, [2, 4])
-
-
-def test_no_ground_spring_on_a_single_story():
-    with pytest.raises(ValueError, match="two stories"):
-        simulated("ground_spring", stories=1, configurations=2, rng=np.random.default_rng(9))
 
 
 def place_of(truth):

@@ -75,7 +75,7 @@ LARGE = textwrap.dedent("""
 """)
 
 
-@pytest.mark.parametrize(("method", "stories"), [("one-shot", "1000"), ("two-stage", "400")])
+@pytest.mark.parametrize(("method", "stories"), [("one-shot", "1000"), ("two-stage", "200")])
 def test_hundreds_of_stories_need_the_memory_of_twenty_four_tables_and_keep_ten_digits(method, stories):
     """Arrays are counted, in tables of all shapes: the buffers of a BLAS differ between processors."""
     run = subprocess.run(

@@ -148,7 +148,7 @@ def test_a_mode_that_cannot_be_ends_in_numbers():
             }
         ],
     }
-    closure = close_loop(Experiment.from_dict(declared))
+    closure = close_loop(Experiment.from_dict(declared), effects=["sensor_gain"])
     assert closure.verdict == "unexplained"
     factors = [closure.noise.to_dict()[kind]["factor"] for kind in ("frequency", "mode_shape")]
     assert np.all(np.isfinite(factors))

@@ -14,7 +14,7 @@ def identified(frame, method="one-shot", **options):
 
 
 @pytest.mark.parametrize("method", ["one-shot", "efficient"])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(7))
 def test_exact_modes_give_masses_centers_inertias_and_stories(seed, method):
     stories = 2 + seed % 7
     frame = random_frame(stories, seed)
@@ -163,18 +163,6 @@ def test_states_and_known_masses_are_fitted_together():
     np.testing.assert_allclose(found.frame.mass_center, 0.0, atol=1e-6)
     assert len(found.fit.errors) > 0
     assert [each.configuration for each in found.parts[0].predictions] == ["bare", "loaded"]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_backends_agree_within_their_certificates(seed):
-    experiment = random_frame(3, seed).experiment(noise=0.002, seed=seed, std=0.002)
-    first, second = (
-        cvxshear.identify(experiment, method="one-shot", backend=name, keep_programs=True)
-        for name in ("clarabel", "scs")
-    )
-    for one, other in zip(first.programs[:1], second.programs[:1], strict=True):
-        assert np.all(np.abs(one.solution.x - other.solution.x) <= one.solution.errors + other.solution.errors)
-    np.testing.assert_allclose(first.frame.floor_mass, second.frame.floor_mass, rtol=1e-6)
 
 
 def test_text_json_and_table():

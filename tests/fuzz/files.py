@@ -53,13 +53,6 @@ def _variables(values: np.ndarray) -> dict[str, object]:
     return {"t": values[:, 0], "ground": values[:, 1], "a": values[:, 2:], "run": inner, "b": single, "n": 3}
 
 
-def mat5(folder: Path, *, compressed: bool) -> bytes:
-    """Write several variables with compression, or a single one without, which a test can compress again."""
-    held = _variables(columns()[:200])
-    io.savemat(folder / "sound.mat", held if compressed else {"all": held}, do_compression=compressed)
-    return (folder / "sound.mat").read_bytes()
-
-
 def mat4(folder: Path) -> bytes:
     values = columns()[:200]
     io.savemat(folder / "sound4.mat", {"t": values[:, 0], "a": values[:, 2:], "h": values[:, 2] + 1j}, format="4")

@@ -176,6 +176,10 @@ def test_identify(start, printed, tmp_path):
     file = measurement(tmp_path / "a.toml", few(start))
     kinds = into(".json", ".csv", ".xlsx", figures=["frame", "mac"])
     check(printed, tmp_path, "identify", file, outputs=kinds, as_json=start == 0)
+
+
+def test_identify_each_configuration(printed, tmp_path):
+    file = measurement(tmp_path / "a.toml", NAMES)
     kinds = into(".json", ".csv", ".xlsx")
     check(printed, tmp_path, "identify", file, "--method", "two-stage", outputs=kinds, as_json=False)
 

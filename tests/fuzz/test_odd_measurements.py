@@ -39,7 +39,7 @@ def odd(seed):
     return declared
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_loop_ends_in_a_verdict_or_in_words(seed):
     try:
         result = close_loop(Experiment.from_dict(odd(seed))).to_dict()

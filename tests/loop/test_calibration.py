@@ -3,7 +3,8 @@
 import pytest
 from scipy import stats
 
-from tests.studies.calibration import Trial, coverage, outcome
+from tests.closed import close_loop
+from tests.studies.calibration import EFFECTS, Trial, coverage, outcome
 from tests.studies.drawn import chance
 from tests.studies.outside import outcome as outcome_outside
 
@@ -11,19 +12,15 @@ SEED = 7_000_000
 TALLEST = 4
 """Maximum number of stories: taller frames take longer and are no harder."""
 
-FOUND = (
-    "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass", "mass_coupling", "sensor_gain",
-    "story_change", "gravity", "wall",
-)  # fmt: skip
-BARELY = 0.85
-"""Success rate of a bad loop: these tests let it pass with the seeds below in at most one case in twenty."""
+FOUND = [name for name in EFFECTS if name]
+"""Effects whose loops `test_loop.py` closes too, with the same seed."""
 
 LEVEL = 0.05
-"""Probability that such a loop passes a test. The seeds are fixed, so one loop passes always or never."""
+"""Probability that chance fails a good loop. The seeds are fixed, so one loop passes always or never."""
 
 
 def trials():
-    several = [Trial((name,), 3, SEED + at, None, TALLEST) for at, name in enumerate(FOUND)]
+    several = [Trial((name,), 3, 11) for name in FOUND]
     pairs = [Trial(("ground_spring", "story_change"), 3, SEED + 50, None, TALLEST)]
     nothing = [
         Trial((), 3, SEED + 100 * at + i, noise, TALLEST)
@@ -35,22 +32,7 @@ def trials():
 
 @pytest.fixture(scope="module")
 def outcomes():
-    return [outcome(trial) for trial in trials()]
-
-
-def most_wrong(count):
-    """Return the number of wrong answers a loop with success rate `BARELY` stays below with probability `LEVEL`."""
-    return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
-
-
-def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
-    """A further named effect is wrong unless the verdict is `ambiguous`: its probability is then below 95 %."""
-    wrong = [
-        (item.trial.effects, item.word, item.verdict, sorted(item.found, key=str))
-        for item in outcomes
-        if item.word != "exact" and not (item.word == "extra" and item.verdict == "ambiguous")
-    ]
-    assert len(wrong) <= most_wrong(len(outcomes)), wrong
+    return [outcome(trial, close_loop) for trial in trials()]
 
 
 def test_little_is_added_where_there_is_nothing(outcomes):
@@ -68,7 +50,8 @@ def test_probabilities_are_honest(outcomes):
 def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
     """Each interval holds the truth in 95 of 100 cases. Errors in one frame are correlated: eight count like four."""
     covered, count = coverage(outcomes)
-    assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
+    assert count > 100
+    assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5
     assert covered / count < 1.0
 
 

@@ -11,7 +11,7 @@ from cvxshear.fit.efficient import fitted
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.gaussian import log_interval, log_normal_between
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop.fitter import free_basis, log_evidence
+from cvxshear.loop.fitter import log_evidence
 from tests.effects.common import placed as put
 from tests.frames import chain, configuration, experiment
 
@@ -238,19 +238,3 @@ def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
         found.append({tuple(placed.label for placed in each.effects): each.probability for each in loop.models})
     assert len(found[0]) > 2
     assert found[1] == pytest.approx(found[0], rel=1e-5)
-
-
-def test_what_the_equalities_leave_free_keeps_them():
-    """The total changes with its error. The frame follows with the least change, in units of a floor and a story."""
-    of = measured(3, total=0.93)
-    total, estimate = of.frame.total_mass, fit(of, TOTAL)
-    B = free_basis(estimate, EffectPrior(SCALE))
-    assert B.shape == (5, 4)
-    np.testing.assert_allclose(B[:2].sum(axis=0), [0.0, 0.0, 0.0, total], atol=1e-9)
-    np.testing.assert_allclose(B[:, 3], [total / 2, total / 2, 0.0, 0.0, 1.0], atol=1e-9)
-    own = B[:4, :3] / np.array([10.0, 10.0, 22e3, 22e3])[:, None]
-    np.testing.assert_allclose(own.T @ own, np.eye(3), atol=1e-9)
-    np.testing.assert_array_equal(B[4, :3], 0.0)
-    # If no equality contains an effect, its direction changes the effect alone.
-    free = free_basis(fit(measured(3), GAIN), EffectPrior(SCALE))
-    np.testing.assert_allclose(free[:, 3], [0.0, 0.0, 0.0, 0.0, 1.0], atol=1e-9)

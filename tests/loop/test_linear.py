@@ -106,16 +106,6 @@ def test_the_prediction_keeps_an_effect_within_its_bounds(linear):
     assert (linear.predicted([SPRING_2])[-1] == parameter.lower) == (linear.decrease(SPRING_2) == 0.0)
 
 
-def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
-    at = base.fit.at
-    U, c = at.triangle
-    rng = np.random.default_rng(1)
-    steps = base.theta[:, None] * 1e-3 * rng.standard_normal((10, 4))
-    rows = np.sum((at.J @ steps + at.r[:, None]) ** 2, axis=0)
-    short = np.sum((U @ steps + c[:, None]) ** 2, axis=0)
-    np.testing.assert_allclose(np.diff(rows), np.diff(short), rtol=1e-8)
-
-
 def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, linear):
     """Compare 1 + (expected size / deviation from the data alone)^2 with a fit without a prior on the effect."""
     for placed in (MASS_3, GAIN_2, CHANGE_4):

@@ -52,7 +52,7 @@ def deviation(result, truth):
 
 def closed_trial(trial):
     declared, truth = experiment_of(trial)
-    return close_loop(Experiment.from_dict(declared)).to_dict(), truth
+    return closed.close_loop(Experiment.from_dict(declared)).to_dict(), truth
 
 
 WITH_TWIN = {"state_mass": "state_stiffness", "joint_release": "story_change"}
@@ -303,29 +303,17 @@ def test_an_end_of_the_physical_range_is_only_said_where_there_is_one():
 
 
 def test_the_json_has_the_documented_keys_and_is_json():
+    """`docs/schema/loop.json`, which other tests use, requires the rest."""
     result = closed.paper().to_dict()
     json.dumps(result, allow_nan=False)
-    figures = {
-        "max_frequency_error", "rms_frequency_error", "min_mac", "max_shape_error", "chi2", "dof", "p_value",
-        "held_out_frequency_error",
-    }  # fmt: skip
-    assert figures <= set(result["before"])
-    assert figures <= set(result["after"])
-    assert all(figures | {"effects"} <= set(step) for step in result["steps"])
-    (effect,) = result["effects"]
-    assert {
-        "name", "floor", "story", "configuration", "probability", "parameters", "std", "size", "rivals",
-    } <= set(effect)  # fmt: skip
     assert {"effects", "probability", "log_evidence", "chi2"} == set(result["models"][0])
     assert set(result["averaged"]) == set(result["frame"])
     # The published frame declares no noise, and has no static test.
     assert set(result["noise"]) == {"frequency", "mode_shape", "displacement"}
     assert result["noise"]["displacement"] is None
     assert set(result["noise"]["frequency"]) == set(result["noise"]["mode_shape"]) == {"factor", "std"}
-    assert effect["floor"] is None
     assert {"floor_mass", "floor_mass_std", "story_stiffness", "story_stiffness_std"} == set(result["frame"])
     assert [len(item["frequencies"]) for item in result["predictions"]] == [2, 2, 2]
-    assert {"name", "floor", "probability", "chi2", "dof", "p_value"} <= set(result["candidates"][0])
     assert result["next_test"] is None
 
 

@@ -19,9 +19,6 @@ from tests.studies.calibration import Trial, outcome
 from tests.studies.outside import simulated
 
 N = 5
-SEEDS = (25, 27, 30)
-"""Seeds of frames whose first fit leads to a minimum far from the changed frame."""
-SCALE = Scale(10.0, 2e4, np.ones(N))
 
 
 def noisy_test(frequencies, shapes, rng, *, accuracy=1e-3, **keys):
@@ -139,7 +136,7 @@ def test_weaker_beams_of_one_floor_are_not_surely_a_sensor():
     assert np.abs(z).max() < 3.0
 
 
-@pytest.mark.parametrize("rho", [0.8, 1.5, 3.0])
+@pytest.mark.parametrize("rho", [0.8, 3.0])
 def test_feet_that_turn_are_told_by_accurate_shapes(rho):
     """The frame has finite elements, with springs under the feet and beams that bend."""
     rng, mass, stiffness = frame(5)
@@ -235,9 +232,12 @@ def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
     assert closure.verdict == "ambiguous"
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
-    """Tests bare and with a mass. One softer story, seen in frequencies alone, must fit at least like the truth."""
+def test_no_frame_far_from_the_first_fit_is_overlooked():
+    """Tests bare and with a mass. One softer story, seen in frequencies alone, must fit at least like the truth.
+
+    The first fit of the frame with this seed leads to a minimum far from the changed frame.
+    """
+    seed = 27
     rng, mass, stiffness = frame(seed, n=6)
     softer = stiffness * np.where(np.arange(6) == seed % 6, 0.8, 1.0)
     load = 1.5 * np.eye(6)[5]
@@ -478,8 +478,10 @@ def test_frequencies_that_scatter_more_than_was_declared_are_no_cause(stated, le
     assert np.all(np.abs(found.averaged.story_stiffness - stiffness) < 4 * found.averaged.story_stiffness_std)
 
 
-@pytest.mark.parametrize(("lay", "off"), [({3: 3.0}, {2: -3.0, 3: 3.0}), ({2: 1.5}, {2: -1.5}), ({}, {2: -3.0})])
-@pytest.mark.parametrize("state", ["before", "after"])
+@pytest.mark.parametrize(
+    ("lay", "off", "state"),
+    [({3: 3.0}, {2: -3.0, 3: 3.0}, "before"), ({2: 1.5}, {2: -1.5}, "after"), ({}, {2: -3.0}, "before")],
+)
 def test_a_load_that_was_written_down_wrongly_is_found_in_its_test(lay, off, state):
     """One test of a state declares 3 kg on floor 2. The true load was on floor 3, half of this, or zero."""
     rng, mass, stiffness = frame(11)
@@ -516,7 +518,7 @@ def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
     assert np.all(np.abs(found.averaged.story_stiffness - true.stiffness) < 4 * found.averaged.story_stiffness_std)
 
 
-@pytest.mark.parametrize(("low", "high"), [(0, 3), (1, 3), (2, 4)])
+@pytest.mark.parametrize(("low", "high"), [(0, 3), (2, 4)])
 def test_a_brace_that_came_with_a_repair_is_found_in_that_state(low, high):
     """The second state has a spring of 0.15 of a story to the ground or between two floors; each state has one test."""
     rng, mass, stiffness = frame(12 + low)

@@ -3,8 +3,6 @@
 A message names the place, the wrong value and the remedy, so each case gives the whole message.
 """
 
-import os
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, seed, settings
@@ -96,7 +94,6 @@ FRAMES = [
     ({"stories": TOO_LONG}, "stories = a number too long to print must lie between 1 and 2000"),
     ({"stories": "2"}, "stories must be a whole number, not '2'"),
     ({"stories": True}, "stories must be a whole number, not True"),
-    ({"stories": False}, "stories must be a whole number, not False"),
     ({"total_mass": -3}, "total_mass = -3 must be greater than 0"),
     ({"total_mass": "31 kg"}, "total_mass must be a number, not '31 kg'"),
     ({"total_mass": HUGE}, f"total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit"),
@@ -106,7 +103,6 @@ FRAMES = [
      "floor_masses add up to 31 kg, total_mass says 30 kg; give one of the two, or values that agree"),
     ({"story_heights": 0}, "story_heights = 0 must be greater than 0"),
     ({"story_heights": [3.0, -3.0]}, "story_heights, entry 2 = -3 must be greater than 0"),
-    ({"gravity": 0}, "gravity = 0 must be greater than 0"),
 ]  # fmt: skip
 
 
@@ -132,7 +128,6 @@ KEYS = [
     ({"mode_shapes": [[0.3, -1.7], [0.6, 0.2], [1.0, 1.0]]},
      ": mode_shapes must have 2 rows, one for each frequency, not 3: a row is a mode, not a floor"),
     ({"mode_shapes": "x"}, ": mode_shapes must be a list of lists of numbers, one a mode, not 'x'"),
-    ({"mode_shapes": []}, ": mode_shapes must not be empty; leave the key out for its default"),
     ({"mode_shapes": [[0.6, 1.0], [1.0]]}, ": mode_shapes, row 2 has 1 entry, row 1 has 2: give one a measured floor"),
     ({"mode_shapes": [[0.6, "1.0"], [-1.7, 1.0]]}, ": mode_shapes, row 1, entry 2 must be a number, not '1.0'"),
     ({"mode_shapes": [[0.6, 1.0], [0.0, 0.0]]},
@@ -156,13 +151,10 @@ KEYS = [
     ({"modes": [1, 3]},
      ": modes names mode 3 (where not given: 1 to 2, the number of frequencies), a frame of 2 stories has 2; leave "
      "out what is not a sway mode, or give the right number of stories"),
-    ({"modes": []}, ": modes must not be empty; leave the key out for its default"),
     ({"added_mass": [1.0, -1.0]}, ": added_mass, entry 2 = -1 must not be less than 0"),
-    ({"added_mass": []}, ": added_mass must not be empty; leave the key out for its default"),
     ({"mass_normalized": "yes"}, ": mass_normalized must be true or false, not 'yes'"),
     ({"frequency_std": 0.0}, ": frequency_std = 0 must be greater than 0"),
     ({"frequency_std": [0.1]}, ": frequency_std must have 2 entries, one a mode, not 1"),
-    ({"mode_shape_std": 0}, ": mode_shape_std = 0 must be greater than 0"),
     ({"mode_shape_std": [[0.1, 0.1]]},
      ": mode_shape_std must have 2 rows, one for each frequency, not 1: a row is a mode, not a floor"),
     ({"mode_shape_std": [[0.1] * 3] * 2}, ": mode_shape_std has 3 entries a row, mode_shapes has 2"),
@@ -305,11 +297,6 @@ FILES = [
     (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a measurement file?"),
     (b"x = " + b"[" * 50_000, " is not valid TOML: nested too deeply"),
     (b"[frame]\nstories = " + b"9" * 5000, ": a number in it has thousands of digits; is it a measurement file?"),
-    (SOUND.replace("31.33", "1" + "0" * 400).encode(),
-     f": frame: total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit"),
-    ((SOUND + "gravity = 9.81\n").encode(), ": configuration \"A\": unknown key 'gravity'; it belongs in [frame]"),
-    ((SOUND + '[[prior]]\nkind = "value"\nquantity = "floor_mass"\nat = 3\nvalue = 9\n').encode(),
-     ": prior 1: at of the value prior = 3 must lie between 1 and 2"),
     (SOUND.replace("7.934", "-7.934").encode(),
      ': configuration "A": frequencies, entry 2 = -7.934 must be greater than 0'),
 ]  # fmt: skip
@@ -355,14 +342,6 @@ def test_an_unreadable_file(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied", str(file))
 
     monkeypatch.setattr(toml.Path, "open", refuse)
-    assert refused_file(file) == f"{file} cannot be read: Permission denied"
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="nothing is unreadable to a superuser")
-def test_a_file_without_the_right_to_read_it(tmp_path):
-    file = tmp_path / "frame.toml"
-    file.write_text(SOUND)
-    file.chmod(0)
     assert refused_file(file) == f"{file} cannot be read: Permission denied"
 
 

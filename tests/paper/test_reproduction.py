@@ -65,11 +65,6 @@ def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
     assert reproduction.summary in documented
 
 
-def test_the_documentation_leaves_the_unexplained_to_the_loop():
-    assert "What the paper leaves unexplained" in DOCS.read_text(encoding="utf-8")
-    assert "cvxshear loop paper" in DOCS.read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     ("row", "verdict"),
     [

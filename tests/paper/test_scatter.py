@@ -39,13 +39,13 @@ def check_efficient(scatter):
     assert np.all(np.abs(scatter.bias) < 3 * scatter.bias_error + 0.1 * scatter.relative_bound)
 
 
-@pytest.mark.parametrize(("sigma", "samples"), [(0.01, 60), (0.05, 200)])
+@pytest.mark.parametrize(("sigma", "samples"), [(0.01, 40), (0.05, 60)])
 def test_the_efficient_method_reaches_the_bound_on_the_papers_frame(sigma, samples):
     check_efficient(noise_study(paper_setups([sigma]), ("efficient",), samples, seed=11).scatters[0])
 
 
 def test_the_efficient_method_reaches_the_bound_on_incomplete_data():
-    check_efficient(six_story_study(120, seed=12).scatters[0])
+    check_efficient(six_story_study(60, seed=12).scatters[0])
 
 
 def test_the_two_stage_method_is_two_to_seven_times_above_the_bound():
@@ -74,16 +74,10 @@ def test_the_statistics_by_hand():
     assert scatter.ratio[1] == pytest.approx(np.sqrt(260 / 3) / 4)
     # 10 > 9.8, 4 < 9.8, 12 < 13.7.
     assert scatter.coverage[1] == pytest.approx(2 / 3)
-
-
-def test_a_sample_without_an_answer_is_counted_and_left_out():
-    assert by_hand().to_dict()["failures"] == 1
-
-
-def test_where_nothing_is_left_to_estimate_there_is_no_ratio():
-    """One story has no ratio: its mass is the total."""
-    assert np.isnan(by_hand().ratio[0])
-    assert by_hand().to_dict()["ratio"][0] is None
+    # One story has no ratio: its mass is the total. A sample without an answer is counted and left out.
+    assert np.isnan(scatter.ratio[0])
+    assert (scatter.to_dict()["ratio"][0], scatter.to_dict()["failures"]) == (None, 1)
+    assert (scatter.samples, scatter.failures) == (4, 1)
 
 
 def test_all_methods_see_the_same_samples_and_a_seed_repeats_them():
@@ -169,16 +163,6 @@ def test_a_batch_is_identify_sample_by_sample(method, setup):
         np.testing.assert_allclose(batch.floor_mass[sample], part.frame.floor_mass, rtol=1e-9)
         np.testing.assert_allclose(batch.story_stiffness[sample], part.frame.story_stiffness, rtol=1e-9)
         assert batch.iterations[sample] == part.iterations
-
-
-@pytest.mark.parametrize(("start", "iterations"), [((9.5, 7.5, 5.5), 14), ((7.5, 7.5, 7.5), 16)])
-def test_exact_modes_give_the_frame_in_the_papers_number_of_iterations(start, iterations):
-    setup = three_story(0.01)
-    frequencies, shapes = setup.exact()
-    batch = two_stage_batch(shapes[None], frequencies[None], 22.5, np.array(start))
-    assert batch.iterations == [iterations]
-    np.testing.assert_allclose(batch.floor_mass[0], setup.floor_mass, rtol=1e-6)
-    np.testing.assert_allclose(batch.story_stiffness[0], setup.story_stiffness, rtol=1e-6)
 
 
 def test_the_answer_does_not_depend_on_the_scale_of_the_shapes():

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from cvxshear import InputError, identify
 from cvxshear.paper import paper_setups
-from cvxshear.paper.setups import Setup, bound, cramer_rao, six_story, three_story
+from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.report.studied import in_percent
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
@@ -122,11 +122,6 @@ def test_the_papers_frame_at_five_percent():
     np.testing.assert_allclose(percent, [1.29, 2.72, 1.79, 2.20, 1.39, 0.79], atol=0.005)
 
 
-def test_the_bound_goes_with_the_noise():
-    # The frequencies are known to 1e-5, not exactly, which adds to the stiffnesses' deviations.
-    np.testing.assert_allclose(bound(three_story(0.04)), 4 * bound(three_story(0.01)), rtol=5e-4)
-
-
 def test_one_story_by_hand():
     """The total is the mass, so k = m (2 pi f)^2 has twice the frequency's relative standard deviation."""
     setup = Setup(np.array([3.0]), np.array([500.0]), 0.01, frequency_std=2e-3, exact_frequencies=False)
@@ -134,24 +129,10 @@ def test_one_story_by_hand():
 
 
 @pytest.mark.parametrize("setup", [three_story(0.03), six_story()], ids=["three stories", "six stories"])
-def test_the_total_mass_has_no_scatter(setup):
-    n = setup.stories
-    total = np.concatenate([np.ones(n), np.zeros(n)])
-    covariance = cramer_rao(setup)
-    assert total @ covariance @ total < 1e-12 * np.trace(covariance[:n, :n])
-
-
-@pytest.mark.parametrize("setup", [three_story(0.03), six_story()], ids=["three stories", "six stories"])
 def test_at_exact_data_the_efficient_method_states_the_bound(setup):
     frame = identify(setup.experiment(*setup.exact())).frame
     stated = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
     np.testing.assert_allclose(by_differences(setup), stated, rtol=1e-4)
-
-
-def test_a_mode_fewer_tells_less():
-    setup = three_story(0.02)
-    fewer = Setup(setup.floor_mass, setup.story_stiffness, 0.02, modes=np.array([1, 2]))
-    assert np.all(bound(fewer) > bound(setup))
 
 
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "noise-study.md").read_text(encoding="utf-8")

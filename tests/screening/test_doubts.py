@@ -161,7 +161,7 @@ def test_added_masses_in_another_unit_are_named(unit, factor):
     ids=["m", "mm", "from a corner"],
 )
 def test_sensors_outside_the_plan_are_asked_about(positions, named):
-    """Sensors at the corners of the plan stand in it."""
+    """Sensors at the corners of the plan are inside."""
     frame = random_frame(2, 3)
     declared = frame.experiment(6, plan=True).to_dict()
     for sensor in declared["configuration"][0]["sensors"]:

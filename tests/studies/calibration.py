@@ -128,10 +128,10 @@ def place(item):
     return item["name"], item["floor"], item["to"], item["story"], item["configuration"]
 
 
-def outcome(trial):
+def outcome(trial, close=search_for_effects):
     """Run the loop on a frame and return the outcome."""
     declared, truth = experiment_of(trial)
-    result = search_for_effects(Experiment.from_dict(declared)).to_dict()
+    result = close(Experiment.from_dict(declared)).to_dict()
     shown = visible(trial.effects, trial.configurations)
     wanted = frozenset(item for item in truth["effects"] if item[0] in shown)
     found = frozenset(place(item) for item in result["effects"])

@@ -1,9 +1,10 @@
 """Test whether the tests notice a wrong sign: change copies of modules slightly, and run the related tests.
 
-`python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 40]` draws changes (a sign,
+`python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 120]` draws changes (a sign,
 an operator, a comparison, a constant, a negated condition, a dropped return) over the package. It runs the related
 tests on a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the
-others. A change that makes the tests exceed the time limit counts as found.
+others. A change that makes the tests exceed the time limit counts as found. Changes without any effect are left out:
+annotations, messages, choices of a word, printed forms and guards against division by zero.
 
 The related tests follow from the imports and names in each file, see `tests_of`; no recording is needed.
 """
@@ -58,6 +59,9 @@ LIMIT_OF_ROUNDING = 1e-3
 """Limit of a tolerance: smaller numbers are tolerances. A factor of two does not matter for these, so they are
 multiplied by a thousand."""
 
+TINY = 1e-100
+"""Limit of a number that only keeps a divisor or a logarithm from zero: no result of a frame is so small."""
+
 
 @dataclass(frozen=True)
 class Mutant:
@@ -81,7 +85,8 @@ def mutants(module):
 
 
 def _not_changed(tree):
-    """Return nodes without effect on results: annotations, texts, messages, docstrings."""
+    """Return nodes without effect on results: annotations, messages, docstrings, choices of a word, printed forms, and
+    tiny numbers that only keep a divisor from zero."""
     found = set()
     for node in ast.walk(tree):
         parts = [getattr(node, key, None) for key in ("annotation", "returns", "decorator_list", "bases")]
@@ -89,11 +94,21 @@ def _not_changed(tree):
             parts.append(node)
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
             parts.append(node)
+        if isinstance(node, ast.IfExp) and all(_is_text(each) for each in (node.body, node.orelse)):
+            parts.append(node)
+        if isinstance(node, ast.FunctionDef) and node.name in ("__repr__", "__str__"):
+            parts.append(node)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < TINY:
+            parts.append(node)
         for part in parts:
             for each in part if isinstance(part, list) else [part]:
                 if each is not None:
                     found.update(id(inner) for inner in ast.walk(each))
     return found
+
+
+def _is_text(node):
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
 def change(node, *, apply):
@@ -303,10 +318,9 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A pytest plugin that sorts tests by the calls between them and a change, then by shared words; rare words come
-    first.
+    """A pytest plugin that sorts tests by the calls between them and a change, then by shared words for their time.
 
-    It records the first failing test and skips the remaining tests after the time limit.
+    Rare words count more. It records the first failing test and skips the remaining tests after the time limit.
     """
 
     def __init__(self, path, names, said, seconds):
@@ -316,12 +330,15 @@ class Watcher:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
         """Sort again by nearness, because `conftest` puts the longest tests first."""
+        from tests.conftest import COSTLY, costs  # noqa: PLC0415 - those of the copy
+
         shared = {item: self._said & parts_of(" ".join(said_in(item))) for item in items}
         often = Counter(word for words in shared.values() for word in words)
 
         def place(item):
             calls = min((self._names[each] for each in said_in(item) & self._names.keys()), default=FARTHEST)
-            return calls, -sum(1.0 / often[word] for word in shared[item])
+            near = sum(1.0 / often[word] for word in shared[item])
+            return calls, -near / max(costs().get(item.nodeid, 0.0), COSTLY)
 
         items.sort(key=place)
 
@@ -441,8 +458,8 @@ def main():
     parser.add_argument("--mutants", type=int, default=30, help="how many changes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/start.py; again")
-    parser.add_argument("--seconds", type=int, default=40, help="of computing, after which no further test is begun")
-    parser.add_argument("--limit", type=int, default=120, help="seconds of computing for the tests of one change")
+    parser.add_argument("--seconds", type=int, default=120, help="of computing, after which no further test is begun")
+    parser.add_argument("--limit", type=int, default=200, help="seconds of computing for the tests of one change")
     given = parser.parse_args()
     some = drawn(given.mutants, given.seed, given.module)
     sys.dont_write_bytecode = True

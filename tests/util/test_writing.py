@@ -67,16 +67,6 @@ def test_a_link_that_waits_where_the_new_file_is_made_is_not_followed(tmp_path, 
     assert (tmp_path / "other").read_text() == "mine"
 
 
-def test_the_names_of_new_files_differ(tmp_path, monkeypatch):
-    seen = []
-    replace = os.replace
-    monkeypatch.setattr(os, "replace", lambda a, b: (seen.append(str(a)), replace(a, b)))
-    for _ in range(3):
-        write_file(tmp_path / "a", "x")
-    assert len(set(seen)) == 3
-    assert all(len(Path(each).name) > 16 for each in seen)
-
-
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
 def test_a_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch, step, error):
