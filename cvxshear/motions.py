@@ -77,8 +77,7 @@ class Motions:
         moved[:, :, :2] = np.eye(2)[:, : self.count]
         if len(position):
             moved[:, :, 2] = position[:, ::-1] * [-1.0, 1.0]
-        rows = moved[:, :1] if self.count == 1 else moved
-        return np.asarray(linalg.block_diag(*(mass[:, None, None] * np.swapaxes(rows, 1, 2) @ rows)))
+        return np.asarray(linalg.block_diag(*(mass[:, None, None] * np.swapaxes(moved, 1, 2) @ moved)))
 
     def relative(self, motion: Floats) -> Floats:
         """Subtract the motion of the floor below from that of each floor, along axis 0 of shape (N d, ...)."""
