@@ -1,5 +1,7 @@
 """The command line."""
 
+import io
+import os
 import sys
 from contextlib import suppress
 from typing import Annotated, Any
@@ -8,7 +10,7 @@ import typer
 
 from cvxshear.cli import frames, modes_and_check, studies
 from cvxshear.cli.options import documented
-from cvxshear.cli.output import OutputError, lost, present, sound_streams, typed, used
+from cvxshear.cli.output import present, typed, used
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -66,25 +68,27 @@ def main(arguments: list[str] | None = None) -> None:
     used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams():
-            # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
-            present()
-            try:
-                status = app(args=arguments, standalone_mode=False)
-            except OSError as error:
-                # Unreadable and unwritable files raise InputError. An OSError here comes from printing the help or the
-                # version.
-                raise lost(error) from error
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                # Characters outside the encoding of a terminal become escapes.
+                stream.reconfigure(errors="backslashreplace")
+        # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
+        present()
+        status = app(args=arguments, standalone_mode=False)
+        sys.stdout.flush()
     except (NoSolutionError, LostProcessError) as error:
         _complain(error)
         status = 1
     except CvxshearError as error:
         _complain(error)
         status = 2
-    except OutputError as error:
-        # A program such as `head` reads the first lines only and needs no error message.
-        if not isinstance(error.__cause__, BrokenPipeError):
-            _complain(f"standard output cannot be written: {error}")
+    except OSError as error:
+        # Unreadable and unwritable files raise InputError; an OSError comes from printing. A program such as `head`
+        # reads the first lines only and needs no error message.
+        if not isinstance(error, BrokenPipeError):
+            _complain(f"standard output cannot be written: {error.strerror}")
+        # Python flushes again at its end and would report the error a second time.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except MemoryError:
         _complain("the memory of this computer is not enough for it")

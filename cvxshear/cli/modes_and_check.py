@@ -13,7 +13,7 @@ from rich.console import RenderableType
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import deliver, numbers, printing, progress
+from cvxshear.cli.output import deliver, numbers, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
 from cvxshear.util.errors import CvxshearError, InputError
@@ -71,8 +71,7 @@ def new(
     else:
         text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:
-        with printing():
-            sys.stdout.write(text)
+        sys.stdout.write(text)
     else:
         write_file(output, text)
 
@@ -202,8 +201,7 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Render the identified modes of each record for a terminal, and the findings about the records."""
-    from cvxshear.io.modes import UNKNOWN_SCALE
-    from cvxshear.records.result import scale_unknown
+    from cvxshear.io.modes import UNKNOWN_SCALE, scale_unsaid
     from cvxshear.report.from_records import amplitude_section
 
     for test in tests:
@@ -216,8 +214,7 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
         if len(results) > 2 and all(result.amplitude for result in results):
             yield from terminal.rendered(amplitude_section(results))
             yield ""
-    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
-    if tests and scale_unknown(tests) and not said:
+    if tests and scale_unsaid(tests):
         yield f"scale: {UNKNOWN_SCALE}"
 
 

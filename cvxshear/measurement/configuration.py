@@ -70,10 +70,8 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
     ------
     InputError
     """
-    if not isinstance(declared, list | tuple) or not all(isinstance(item, Mapping | OtherModes) for item in declared):
-        needed = "a list of tables, each with modes and probability"
-        raise InputError(f"{where} must be {needed}, not {checks.shown(declared)}")
-    found = tuple(OtherModes.of(item, own, f"{where}, entry {place}") for place, item in enumerate(declared, 1))
+    tables = checks.items(declared, where, "tables, each with modes and probability")
+    found = tuple(OtherModes.of(item, own, f"{where}, entry {place}") for place, item in enumerate(tables, 1))
     if len({tuple(item.modes.tolist()) for item in found}) < len(found):
         raise InputError(f"{where} has the same modes twice")
     total = sum(item.probability for item in found)
@@ -137,13 +135,11 @@ class Sensor(InTable):
         InputError
             Naming the entry, the key, the value found and what would be right.
         """
-        if not isinstance(declared, list | tuple):
-            raise InputError(f"{where} must be a list of sensors, not {checks.shown(declared)}")
-        found = []
-        for place, item in enumerate(declared, 1):
+        found: list[Sensor] = []
+        for place, item in enumerate(checks.items(declared, where, "sensors"), 1):
             with checks.named(f"{where}, entry {place}"):
-                own = isinstance(item, Sensor)
-                found.append(item if own else Sensor.of_table(item, "a sensor", "floor", "position"))
+                one = item if isinstance(item, Sensor) else Sensor.of_table(item, "a sensor", "floor", "position")
+                found.append(one)
         rows = {(each.floor, *each.row.round(12)) for each in found}
         if len(rows) < len(found):
             raise InputError(f"{where} has two sensors that read the same motion; give each entry of a shape its own")
@@ -475,9 +471,7 @@ class Configuration(InTable):
         where = self._at("mode_shape_std")
         if not width:
             raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):
+        if checks.many(value) and any(map(checks.many, checks.items(value, where, "numbers"))):
             std = checks.table(value, where, rows=count, above=0.0)
             if std.shape[1] != width:
                 raise InputError(f"{where} has {checks.entries(std.shape[1])} a row, mode_shapes has {width}")
@@ -578,10 +572,7 @@ class Configuration(InTable):
     @cached_property
     def sensor_rows(self) -> Floats:
         """Observation matrix of the sensors of a frame of N floors that turn, shape (n, 3 N)."""
-        C = np.zeros((len(self.sensors), 3 * len(self.added_mass)))
-        for row, sensor in zip(C, self.sensors, strict=True):
-            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
-        return C
+        return Sensor.rows(self.sensors, len(self.added_mass))
 
     def unloaded(self, name: str) -> Configuration:
         """Return a test of a state of its own with the same sensors and no added mass."""

@@ -153,9 +153,8 @@ class Frame(InTable):
         if self.total_mass_placeholder and (self.total_mass is None or self.floor_masses is not None):
             raise InputError("frame: total_mass_placeholder belongs to total_mass; leave it out where that is known")
         checks.put(self, "reference", checks.text, "frame: reference")
-        if not isinstance(self.accept, list | tuple):
-            raise InputError(f"frame: accept must be a list of names, not {checks.shown(self.accept)}")
-        accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in self.accept)
+        names = checks.items(self.accept, "frame: accept", "names")
+        accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in names)
         object.__setattr__(self, "accept", accepted)
         self._check_motions()
 

@@ -39,7 +39,7 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):
-        return _array_as_json(value)
+        return as_json(value.tolist())
     if hasattr(value, "to_dict"):
         return value.to_dict()
     if isinstance(value, Mapping):
@@ -49,19 +49,6 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     if dataclasses.is_dataclass(value):
         return fields_as_json(value)
     return str(value)
-
-
-def _array_as_json(values: Any) -> Any:
-    """Convert an array or a number of NumPy to lists or a number; nan and infinity become None."""
-    import numpy as np  # noqa: PLC0415 - help and completion do not need NumPy
-
-    if np.ndim(values) == 0:
-        return as_json(values.item())
-    if values.dtype.kind != "f" or np.isfinite(values).all():
-        return values.tolist()
-    found = values.astype(object)
-    found[~np.isfinite(values)] = None
-    return found.tolist()
 
 
 class InJson:

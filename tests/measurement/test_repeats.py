@@ -205,7 +205,7 @@ COVARIANCES = [
 ]
 REPEATS = [
     ({"frequencies": TESTS[:1]}, "repeats: frequencies must have two tests at least"),
-    ({"frequencies": 3.0}, "repeats are lists with an item for each test, not 3.0"),
+    ({"frequencies": 3.0}, "frequencies must be a list of tests, not 3.0"),
     (
         {"frequencies": [[3.25, 8.9], [3.26, 8.9]]},
         "repeats: frequency 2 is the same in every test, so that its scatter is unknown: write more digits",
@@ -244,11 +244,14 @@ def test_the_message_says_what_to_change(keys, message):
     ("text", "message"),
     [
         ("frequency 1, speed\n1, 2\n", 'column "speed" is not one of repeated tests'),
-        ("frequency 1, frequency 1\n1, 2\n", 'the column "frequency 1" is there twice'),
+        ("frequency 1, frequency 1\n1, 2\n", 'has two columns named "frequency 1"'),
         ("shape 1 1, block\n1, 2\n", 'needs a column "frequency 1"'),
-        ("frequency 1, frequency 2\n1.0, 2.0\n1.1,\n", "line 3: frequency 2 is empty; leave the test out"),
+        (
+            "frequency 1, frequency 2\n1.0, 2.0\n1.1,\n",
+            'line 3: column "frequency 2" is empty; fill it in, or leave the line out',
+        ),
         ("frequency 1, frequency 2\n1.0, two\n", "column \"frequency 2\" holds 'two', which is not a number"),
-        ("", 'needs a column "frequency 1"'),
+        ("", "repeats.csv is empty; a table has a header"),
     ],
 )
 def test_the_message_names_the_place_in_the_file(tmp_path, text, message):
