@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, modes_and_check, studies
+from cvxshear.cli import commands, modes_and_check
 from cvxshear.cli.options import documented
 from cvxshear.cli.output import present, typed, used
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
@@ -30,11 +30,11 @@ app = typer.Typer(
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
-    frames.identify, frames.loop, frames.predict, frames.reconstruct, frames.history, modes_and_check.modes,
-    modes_and_check.new, modes_and_check.check, studies.backends, studies.plan, studies.reproduce,
+    commands.identify, commands.loop, commands.predict, commands.reconstruct, commands.history, modes_and_check.modes,
+    modes_and_check.new, modes_and_check.check, commands.backends, commands.plan, commands.reproduce,
 ):  # fmt: skip
     app.command()(documented(command))
-study.command()(documented(studies.noise))
+study.command()(documented(commands.noise))
 app.add_typer(study, name="study")
 
 

@@ -155,7 +155,9 @@ class Layout:
     first: int = 0
 
 
-def read_csv(path: str | Path, limit: float = LIMIT, remedy: str = TOO_LARGE, words: Sequence[str] = ()) -> Columns:
+def read_csv(
+    path: str | Path, limit: float = LIMIT, remedy: str = TOO_LARGE, words: Sequence[str] | None = None
+) -> Columns:
     """Read delimited text.
 
     Parameters
@@ -167,7 +169,7 @@ def read_csv(path: str | Path, limit: float = LIMIT, remedy: str = TOO_LARGE, wo
     remedy : str, optional
         End of the message about a larger file.
     words : sequence of str, optional
-        Names of columns that hold words, in small letters.
+        For a table whose first line names the columns: those that hold words, in small letters.
 
     Returns
     -------
@@ -182,7 +184,7 @@ def read_csv(path: str | Path, limit: float = LIMIT, remedy: str = TOO_LARGE, wo
     return columns_of(_text(Path(path), limit, remedy), str(path), words)
 
 
-def columns_of(text: Iterable[str], where: str, words: Sequence[str] = ()) -> Columns:
+def columns_of(text: Iterable[str], where: str, words: Sequence[str] | None = None) -> Columns:
     """Read the columns of a text, line by line, as `read_csv` does.
 
     Parameters
@@ -195,9 +197,9 @@ def columns_of(text: Iterable[str], where: str, words: Sequence[str] = ()) -> Co
     """
     lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
     head = list(islice(lines, LONGEST_HEAD))
-    layout = layout_of(head, where)
+    layout = layout_of(head, where) if words is None else _first_line(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
-    found = _columns((each for each in after if not _comment(each[1])), layout, where, words)
+    found = _columns((each for each in after if not _comment(each[1])), layout, where, words or ())
     return replace(found, preamble="".join(line for number, line in head if number < layout.line))
 
 
@@ -211,9 +213,6 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
     where : str
         The file, for messages.
     """
-    plain = [(number, line) for number, line in head if not _comment(line)]
-    if not plain:
-        raise InputError(f"{where} is empty; a table has a header that names its columns, and a line a sample or mode")
     for place, (number, line) in enumerate(head):
         if _comment(line):
             continue
@@ -223,15 +222,18 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
             found = _header(head[:place], separator, counts[separator])
             if found is not None:
                 return Layout(separator, *found, number)
-    return _first_line(plain[0], where)
+    return _first_line(head, where)
 
 
-def _first_line(line: Line, where: str) -> Layout:
+def _first_line(head: Sequence[Line], where: str) -> Layout:
     """Take the first line as the header if the numbers below do not identify one; later checks report the mistake.
 
     Semicolons, tabs and commas inside quotation marks are part of a name.
     """
-    number, text = line
+    plain = [each for each in head if not _comment(each[1])]
+    if not plain:
+        raise InputError(f"{where} is empty; a table has a header that names its columns, and a line a sample or mode")
+    number, text = plain[0]
     bare = re.sub(r'"[^"]*"', "", text)
     separator = next((mark for mark in SEPARATORS if mark and mark in bare), None)
     names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
@@ -253,7 +255,7 @@ def _header(
             break
         fitting.append((number, tuple(cell.strip() for cell in cells)))
     named = [(n, cells) for n, cells in fitting if not all(_is_datum(each.replace(",", ".")) for each in cells)]
-    if not named or len(named) < len(fitting[:1]):
+    if not named:
         return None
     units: tuple[str, ...] = ()
     if len(named) > 1 and all(UNIT.fullmatch(cell) for cell in named[0][1]) and any(named[0][1]):

@@ -9,6 +9,7 @@ Only the frequency and one floor at least must be there; an empty cell of a shap
 Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 """
 
+import csv
 import io
 import math
 import re
@@ -28,8 +29,8 @@ from cvxshear.util.writing import cell_text, write_file
 
 Cell = str | float | int | None
 
-#: Largest length of the title of a sheet, letters (Excel).
-LONGEST_TITLE = 31
+#: Largest length of the title of a sheet, letters: Excel takes 31, and openpyxl numbers titles that come twice.
+LONGEST_TITLE = 28
 
 #: Largest length of a cell, letters (Excel).
 LONGEST_CELL = 32_767
@@ -83,7 +84,9 @@ def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
     """Write a table as comma-separated text, numbers to their last digit."""
-    return "".join(",".join(map(_csv_cell, row)) + "\n" for row in (header, *rows))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([_plain(cell) for cell in row] for row in (header, *rows))
+    return text.getvalue()
 
 
 def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
@@ -107,9 +110,8 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     """
     book = load_openpyxl().Workbook()
     book.remove(book.active)
-    taken = {RESERVED}
     for sheet in sheets:
-        page = book.create_sheet(_title(sheet.title, taken))
+        page = book.create_sheet(_title(sheet.title))
         for row in (sheet.header, *sheet.rows):
             page.append(tuple(map(_plain, row)))
         for cell in next(page.rows, ()):
@@ -120,7 +122,7 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     return content.getvalue()
 
 
-def read_xlsx(path: str | Path, limit: float, remedy: str = TOO_LARGE) -> Columns:
+def read_xlsx(path: str | Path, limit: float, remedy: str = TOO_LARGE, words: Sequence[str] | None = None) -> Columns:
     """Read the columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
 
     Parameters
@@ -128,8 +130,8 @@ def read_xlsx(path: str | Path, limit: float, remedy: str = TOO_LARGE) -> Column
     path : str or Path
     limit : float
         Bytes, as for `read_csv`.
-    remedy : str, optional
-        End of the message about a larger file.
+    remedy, words : optional
+        As for `read_csv`.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def read_xlsx(path: str | Path, limit: float, remedy: str = TOO_LARGE) -> Column
     with reading(path, "a workbook"):
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)
         rows = ["\t".join(map(_as_text, row)) for row in book.worksheets[0].iter_rows(values_only=True)]
-    return columns_of(rows, str(path))
+    return columns_of(rows, str(path), words)
 
 
 def _as_text(cell: object) -> str:
@@ -163,31 +165,16 @@ def load_openpyxl() -> Any:
     return optional("openpyxl", "workbooks need")
 
 
-def _title(name: str, taken: set[str]) -> str:
-    """Remove forbidden characters from the title of a sheet, and make it unique regardless of case."""
+def _title(name: str) -> str:
+    """Remove forbidden characters from the title of a sheet."""
     plain = re.sub(r"[\\/*?:\[\]]", " ", printable(name))[:LONGEST_TITLE].strip(" '") or "sheet"
-    title, place = plain, 1
-    while title.lower() in taken:
-        place += 1
-        title = f"{plain[: LONGEST_TITLE - len(str(place)) - 1]} {place}"
-    taken.add(title.lower())
-    return title
+    return f"{plain} 2" if plain.lower() == RESERVED else plain
 
 
 def _plain(cell: Cell) -> Cell:
     if isinstance(cell, str):
         return cell_text(cell)[:LONGEST_CELL]
     return None if cell is None or (isinstance(cell, float) and not math.isfinite(cell)) else cell
-
-
-def _csv_cell(cell: Cell) -> str:
-    plain = _plain(cell)
-    if not isinstance(plain, str):
-        return "" if plain is None else repr(plain)
-    # A semicolon or a tab parts cells too, by the program's language.
-    if plain != plain.strip() or any(mark in plain for mark in ',;\t"'):
-        return '"' + plain.replace('"', '""') + '"'
-    return plain
 
 
 def read_mode_csv(path: str | Path) -> Json:
@@ -208,12 +195,12 @@ def read_mode_csv(path: str | Path) -> Json:
     InputError
         The message names the file, the line and the column.
     """
-    return _modes_of(read_csv(path, LARGEST_FILE, TOO_LARGE_TABLE))
+    return _modes_of(read_csv(path, LARGEST_FILE, TOO_LARGE_TABLE, words=()))
 
 
 def read_mode_xlsx(path: str | Path) -> Json:
     """Read the modes of a table on the first sheet of a workbook, as `read_mode_csv` does."""
-    return _modes_of(read_xlsx(path, LARGEST_FILE, TOO_LARGE_TABLE))
+    return _modes_of(read_xlsx(path, LARGEST_FILE, TOO_LARGE_TABLE, words=()))
 
 
 def _modes_of(columns: Columns) -> Json:

@@ -58,7 +58,9 @@ class InTable(checks.ReadOnlyArrays):
     def of_table(
         cls, declared: object, where: str, *required: str, elsewhere: Mapping[str, str] | None = None, **given: object
     ) -> Self:
-        """Read a table whose keys are the fields; `given` has values for fields that it leaves out."""
+        """Take an object, or read a table whose keys are the fields; `given` has values for absent fields."""
+        if isinstance(declared, cls):
+            return declared
         names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]  # every subclass is one
         table = checks.keys(declared, names, required, where, elsewhere=elsewhere)
         return cls(**given | {key: value for key, value in table.items() if value is not None or key in required})

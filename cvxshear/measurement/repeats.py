@@ -15,7 +15,7 @@ their covariance over the number of blocks is the mean's, however many repeats e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -76,22 +76,6 @@ class Repeats(InTable):
         put(self, "block", tuple(map(str, checks.items(self.block, "block", "names"))))
         if self.block and len(self.block) != len(tests):
             raise InputError(f"block must have {checks.entries(len(tests))}, one a test, not {len(self.block)}")
-
-    @staticmethod
-    def of(declared: object, where: str) -> Repeats:
-        """Read the repeats of a configuration.
-
-        Parameters
-        ----------
-        declared : Repeats or dict
-        where : str
-            The key, for messages.
-        """
-        if isinstance(declared, Repeats):
-            return declared
-        names = [item.name for item in fields(Repeats)]
-        with checks.named(where):
-            return Repeats(**checks.keys(declared, names, ["frequencies"], "the table"))
 
     def summary(self, *, mass_normalized: bool) -> dict[str, Floats]:
         """Return the keys of a configuration that the repeats replace, with their values.

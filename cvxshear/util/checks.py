@@ -237,11 +237,7 @@ def vector(
     clean = _clean(value, 1, above=above, least=least, nan=nan)
     if clean is not None and length in (None, len(clean)):
         return clean
-    found = items(value, where, "numbers")
-    if not found:
-        raise InputError(f"{where} must not be empty")
-    if length is not None and len(found) != length:
-        raise InputError(f"{where} must have {entries(length)}{each}, not {len(found)}")
+    found = _list_of(value, where, "numbers", length, each)
 
     def checked(item: object, place: int) -> float:
         # A masked entry is None.
@@ -250,6 +246,16 @@ def vector(
         return number(item, f"{where}, entry {place}", above=above, least=least)
 
     return frozen(np.array([checked(item, place) for place, item in enumerate(found, 1)]))
+
+
+def _list_of(value: object, where: str, what: str, length: int | None, each: str) -> list[object]:
+    """Check a list that is not empty, of a length where that is known."""
+    found = items(value, where, what)
+    if not found:
+        raise InputError(f"{where} must not be empty")
+    if length is not None and len(found) != length:
+        raise InputError(f"{where} must have {entries(length)}{each}, not {len(found)}")
+    return found
 
 
 def entries(count: int) -> str:
@@ -280,11 +286,9 @@ def one_or_many(
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 
-def ascending_whole(value: object, where: str, *, most: int) -> Ints:
-    """Check a list of whole numbers from 1 to `most` that strictly ascend."""
-    found = items(value, where, "whole numbers")
-    if not found:
-        raise InputError(f"{where} must not be empty")
+def ascending_whole(value: object, where: str, *, most: int, length: int | None = None, each: str = "") -> Ints:
+    """Check a list of whole numbers from 1 to `most` that strictly ascend; `length` and `each` as for `vector`."""
+    found = _list_of(value, where, "whole numbers", length, each)
     result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(found, 1)]
     for before, after in pairwise(result):
         if after <= before:
@@ -292,10 +296,12 @@ def ascending_whole(value: object, where: str, *, most: int) -> Ints:
     return frozen(np.array(result, dtype=np.int64))
 
 
-def table(value: object, where: str, *, rows: int, nan: bool = False, above: float = -math.inf) -> Floats:
+def table(
+    value: object, where: str, *, rows: int, columns: int | None = None, nan: bool = False, above: float = -math.inf
+) -> Floats:
     """Check a list of `rows` lists of numbers, all of one length; return a read-only array of shape (rows, columns)."""
     clean = _clean(value, 2, above=above, least=-math.inf, nan=nan)
-    if clean is not None and len(clean) == rows:
+    if clean is not None and len(clean) == rows and columns in (None, clean.shape[1]):
         return clean
     found = items(value, where, "lists of numbers, one a mode")
     if len(found) != rows:
@@ -309,6 +315,8 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
             raise InputError(
                 f"{where}, row {place} has {entries(len(line))}, row 1 has {len(lines[0])}: give one a measured floor"
             )
+    if columns not in (None, len(lines[0])):
+        raise InputError(f"{where} has {entries(len(lines[0]))} a row, not {columns}")
     return frozen(np.array(lines))
 
 

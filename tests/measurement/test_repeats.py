@@ -196,7 +196,7 @@ TESTS = [[3.25, 8.91], [3.26, 8.93], [3.24, 8.92]]
 
 COVARIANCES = [
     ([[1e-6]], "frequency_covariance must have 3 rows, one for each frequency, not 1"),
-    ([[1e-6, 0]] * 3, "frequency_covariance has 2 entries a row; it must be square, 3 by 3"),
+    ([[1e-6, 0]] * 3, "frequency_covariance has 2 entries a row, not 3"),
     (
         [[4e-6, 1e-6, 0], [0, 4e-6, 0], [0, 0, 4e-6]],
         "frequency_covariance must be symmetric: entry [i][j] equal to entry [j][i]",

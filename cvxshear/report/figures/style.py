@@ -74,11 +74,6 @@ SETTINGS: dict[Any, Any] = dict(
 _SETTINGS_LOCK = RLock()
 
 
-def settings() -> dict[Any, Any]:
-    """Return the settings for drawing or writing a figure."""
-    return {**SETTINGS, "font.family": list(families())}
-
-
 @cache
 def families() -> tuple[str, ...]:
     """Find the installed fonts for figures, in order of preference."""
@@ -96,7 +91,7 @@ def house_settings() -> Iterator[None]:
     """Apply the house style to matplotlib, for one thread at a time; restore the user's settings at the end."""
     with _SETTINGS_LOCK, mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(settings())
+        mpl.rcParams.update(SETTINGS | {"font.family": list(families())})
         yield
 
 
@@ -304,7 +299,7 @@ class FigureEntry:
 
 
 #: Condition of the figures of frames with one motion per floor, and what they need.
-ONE_MOTION: dict[str, Any] = {
+OF_ONE_MOTION: dict[str, Any] = {
     "applies": lambda result: not result.experiment.frame.turns,
     "needs": "one motion per floor",
 }
