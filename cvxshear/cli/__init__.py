@@ -88,7 +88,8 @@ def main(arguments: list[str] | None = None) -> None:
         if not isinstance(error, BrokenPipeError):
             _complain(f"standard output cannot be written: {error.strerror}")
         # Python flushes again at its end and would report the error a second time.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except MemoryError:
         _complain("the memory of this computer is not enough for it")

@@ -16,7 +16,6 @@ import typer
 from cvxshear.cli.output import as_typed, deliver, doubts_of, show, used
 from cvxshear.report import terminal
 from cvxshear.report.blocks import describe
-from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file, write_file
 
@@ -320,6 +319,7 @@ def _path(text: str) -> str:
 def _figure(text: str, result: type) -> FigureEntry:
     """Return the figure of a request."""
     from cvxshear.report.figures import style
+    from cvxshear.util import checks
 
     with checks.named("--figure"):
         return style.figure_named(text[: -len(_path(text)) - 1], result)

@@ -54,8 +54,10 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "") -> 
             content = file.read(int(largest) + 1)
     except FileNotFoundError:
         raise InputError(f"{where}: no such file{absent and f' ({absent})'}") from None
-    except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror}") from None
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{where} cannot be read: {getattr(error, 'strerror', error)}") from None
     if len(content) > largest:
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
     logger.info("read %s, %d bytes", printable(where), len(content))

@@ -82,7 +82,7 @@ HEADS = {
     "input_floor = [1]": "run 1: input_floor must be a whole number, not [1]",
     "time = ['t']": "record: time must be a text that is not empty, not ['t']",
     "stories = 'three'": "record: stories must be a whole number, not 'three'",
-    'file = "a\\u0000b.csv"': "cannot be read as delimited text: embedded null byte",
+    'file = "a\\u0000b.csv"': "cannot be read: embedded null byte",
     "sampling_rate = [20]": "record: sampling_rate must be a number, not [20]",
     "size_limit = 'much'": "record: size_limit (MB) must be a number, not 'much'",
 }
