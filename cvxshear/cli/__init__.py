@@ -10,7 +10,7 @@ import typer
 
 from cvxshear.cli import commands, modes_and_check
 from cvxshear.cli.options import documented
-from cvxshear.cli.output import present, typed, used
+from cvxshear.cli.output import complain, present, typed, used
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -77,22 +77,22 @@ def main(arguments: list[str] | None = None) -> None:
         status = app(args=arguments, standalone_mode=False)
         sys.stdout.flush()
     except (NoSolutionError, LostProcessError) as error:
-        _complain(error)
+        complain(error)
         status = 1
     except CvxshearError as error:
-        _complain(error)
+        complain(error)
         status = 2
     except OSError as error:
         # Unreadable and unwritable files raise InputError; an OSError comes from printing. A program such as `head`
         # reads the first lines only and needs no error message.
         if not isinstance(error, BrokenPipeError):
-            _complain(f"standard output cannot be written: {error.strerror}")
+            complain(f"standard output cannot be written: {error.strerror}")
         # Python flushes again at its end and would report the error a second time.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except MemoryError:
-        _complain("the memory of this computer is not enough for it")
+        complain("the memory of this computer is not enough for it")
         status = 1
     except (typer.Abort, KeyboardInterrupt):
         status = 130
@@ -103,8 +103,3 @@ def main(arguments: list[str] | None = None) -> None:
         error.show()
         status = error.exit_code
     sys.exit(status if isinstance(status, int) else 0)
-
-
-def _complain(error: object) -> None:
-    with suppress(OSError):
-        sys.stderr.write(f"cvxshear: {error}\n")

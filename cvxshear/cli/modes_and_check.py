@@ -13,7 +13,7 @@ from rich.console import RenderableType
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import deliver, numbers, progress
+from cvxshear.cli.output import complain, deliver, numbers, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
 from cvxshear.util.errors import CvxshearError, InputError
@@ -149,7 +149,7 @@ def modes(
             pick=None if pick == options.LIST else numbers(pick, "--pick"),
         )
     errors = [error for error in found if isinstance(error, CvxshearError)]
-    _complain(errors)
+    complain(*errors)
     tests = _kept(found)
     if tests:
         results, reasons = [test.modes for test in tests], list(map(str, errors))
@@ -192,7 +192,7 @@ def measured(
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
     found = modes.identify_modes_many(files, jobs=jobs, progress=progress)
     errors = [error for error in found if isinstance(error, CvxshearError)]
-    _complain(errors[:-1])
+    complain(*errors[:-1])
     if errors:
         raise errors[-1]
     tests = _kept(found)
@@ -225,8 +225,3 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> list[Json]:
 
 def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:
     return [test for test in found if not isinstance(test, CvxshearError)]
-
-
-def _complain(errors: Sequence[CvxshearError]) -> None:
-    for error in errors:
-        sys.stderr.write(f"cvxshear: {error}\n")

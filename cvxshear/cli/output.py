@@ -6,7 +6,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -184,3 +184,9 @@ def numbers(
         return [kind(part) for part in text.split(",")]
     except ValueError:
         raise InputError(f"{option} must be {right}, not {text!r}") from None
+
+
+def complain(*errors: object) -> None:
+    """Write errors to standard error, each in one line."""
+    with suppress(OSError):
+        sys.stderr.writelines(f"cvxshear: {error}\n" for error in errors)

@@ -1,6 +1,6 @@
 """Shared behavior of results: conversion to JSON, to measurement files and to pandas, and display at a prompt.
 
-Other modules register the functions that display a result, see `name_module`.
+Modules of higher layers display a result; `MODULES` names them.
 """
 
 from __future__ import annotations
@@ -126,34 +126,22 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     return found
 
 
-#: Modules of higher layers by their task. `cvxshear/__init__.py` registers them, so no module imports upward.
-_modules: dict[str, str] = {}
-
-
-def name_module(task: str, module: str) -> None:
-    """Register the module for a task; its first use imports the module.
-
-    Parameters
-    ----------
-    task : str
-        "read" or "show". A module for "read" has `experiment_from_file`, which takes a path or the name of a built-in
-        example. A module for "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the
-        tables for a notebook, or None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the
-        first if the name is empty).
-    module : str
-    """
-    _modules[task] = module
+#: Modules of higher layers by their task; the first use imports one, so no module imports upward. That for "read" has
+#: `experiment_from_file`, which takes a path or the name of a built-in example; that for "solve" has `solve`. That for
+#: "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the tables for a notebook, or
+#: None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the first if the name is empty).
+MODULES = {"read": "cvxshear.io.modes", "show": "cvxshear.report.terminal", "solve": "cvxshear.backends.solvers"}
 
 
 def ask(task: str, function: str, *given: Any) -> Any:
-    """Call a function of the module that is registered for a task, and return its result.
+    """Call a function of the module for a task, and return its result.
 
     Parameters
     ----------
     task, function : str
     *given : object
     """
-    return getattr(importlib.import_module(_modules[task]), function)(*given)
+    return getattr(importlib.import_module(MODULES[task]), function)(*given)
 
 
 class Shown(InJson):

@@ -304,7 +304,8 @@ FILES = [
     (b"\x89PNG\r\n\x1a\n\x00\x00", " is not UTF-8 text (byte 0); is it a measurement file?"),
     (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a measurement file?"),
     (b"x = " + b"[" * 50_000, " is not valid TOML: maximum recursion depth exceeded"),
-    (b"[frame]\nstories = " + b"9" * 5000, " is not valid TOML: Exceeds the limit (4300 digits) for integer string conversion: value has 5000 digits; use "
+    (b"[frame]\nstories = " + b"9" * 5000,
+     " is not valid TOML: Exceeds the limit (4300 digits) for integer string conversion: value has 5000 digits; use "
      "sys.set_int_max_str_digits() to increase the limit"),
     (SOUND.replace("31.33", "1" + "0" * 400).encode(),
      f": frame: total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit"),
