@@ -149,7 +149,7 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
 
 
 def scale_unsaid(tests: Sequence[IdentifiedRecord]) -> bool:
-    """Return whether nothing tells how heavy the frame is, and no finding says so."""
+    """Return whether the scale of the masses is unknown and no finding reports it."""
     return scale_unknown(tests) and not any(each.kind == "scale" for test in tests for each in test.modes.findings)
 
 

@@ -193,7 +193,7 @@ def table(
 
 
 def table_of_rows(key: str, title: str, head: Sequence[str], rows: Iterable[Sequence[str]], **options: Any) -> Table:
-    """Make a table for people from the texts of its rows; the options are those of `table`."""
+    """Make a table for people from the texts of its rows, with the options of `table`."""
     cells = list(zip(*rows, strict=True)) or [()] * len(head)
     return table(key, title, dict(zip(head, cells, strict=True)), **options)
 

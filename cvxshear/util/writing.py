@@ -146,7 +146,7 @@ def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
     Parameters
     ----------
     path : str or Path
-        The name of a device or a pipe may have none; the first of `endings` stands for it.
+        The name of a device or a pipe needs no ending; the first of `endings` is returned then.
     endings : iterable of str
     what : str
         Beginning of the message: "a figure is written as".
