@@ -19,7 +19,6 @@ from cvxshear.util.errors import (
     NoSolutionError,
     UnsuitableError,
 )
-from cvxshear.util.results import name_module
 from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -34,10 +33,6 @@ if TYPE_CHECKING:
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
     from cvxshear.screening import close_loop, history
-
-name_module("show", "cvxshear.report.terminal")
-name_module("read", "cvxshear.io.modes")
-name_module("solve", "cvxshear.backends.solvers")
 
 __all__ = [
     "Comparison",

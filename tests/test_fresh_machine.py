@@ -37,7 +37,7 @@ def test_a_masked_entry_of_a_shape_is_not_measured():
 @pytest.mark.parametrize(("key", "size"), [("added_mass", 3), ("frequencies", 3), ("frequency_std", 3)])
 def test_a_masked_number_is_refused_with_its_place(key, size):
     values = np.ma.masked_array(np.arange(1.0, size + 1), mask=[0, 1, 0])
-    with pytest.raises(cvxshear.InputError, match=rf"{key}, entry 2 is masked"):
+    with pytest.raises(cvxshear.InputError, match=rf"{key}, entry 2 must be a number, not None"):
         cvxshear.Experiment.from_dict(three_stories(**{key: values}))
 
 
@@ -141,5 +141,5 @@ def test_a_masked_sample_of_a_response_is_missing():
 
 def test_a_masked_added_mass_of_a_record_is_refused():
     masked = np.ma.masked_array([1.0, 2.0], mask=[0, 1])
-    with pytest.raises(cvxshear.InputError, match="added_mass, entry 2 is masked"):
+    with pytest.raises(cvxshear.InputError, match="added_mass, entry 2 must be a number, not None"):
         DrivenRecord([DrivenRun([1.0, 0.0])], 100.0, added_mass=masked)

@@ -1,14 +1,16 @@
 """The command line."""
 
+import io
+import os
 import sys
 from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, modes_and_check, studies
+from cvxshear.cli import commands, modes_and_check
 from cvxshear.cli.options import documented
-from cvxshear.cli.output import OutputError, lost, present, sound_streams, typed, used
+from cvxshear.cli.output import complain, present, typed, used
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -28,11 +30,11 @@ app = typer.Typer(
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
-    frames.identify, frames.loop, frames.predict, frames.reconstruct, frames.history, modes_and_check.modes,
-    modes_and_check.new, modes_and_check.check, studies.backends, studies.plan, studies.reproduce,
+    commands.identify, commands.loop, commands.predict, commands.reconstruct, commands.history, modes_and_check.modes,
+    modes_and_check.new, modes_and_check.check, commands.backends, commands.plan, commands.reproduce,
 ):  # fmt: skip
     app.command()(documented(command))
-study.command()(documented(studies.noise))
+study.command()(documented(commands.noise))
 app.add_typer(study, name="study")
 
 
@@ -66,28 +68,31 @@ def main(arguments: list[str] | None = None) -> None:
     used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams():
-            # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
-            present()
-            try:
-                status = app(args=arguments, standalone_mode=False)
-            except OSError as error:
-                # Unreadable and unwritable files raise InputError. An OSError here comes from printing the help or the
-                # version.
-                raise lost(error) from error
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                # Characters outside the encoding of a terminal become escapes.
+                stream.reconfigure(errors="backslashreplace")
+        # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
+        present()
+        status = app(args=arguments, standalone_mode=False)
+        sys.stdout.flush()
     except (NoSolutionError, LostProcessError) as error:
-        _complain(error)
+        complain(error)
         status = 1
     except CvxshearError as error:
-        _complain(error)
+        complain(error)
         status = 2
-    except OutputError as error:
-        # A program such as `head` reads the first lines only and needs no error message.
-        if not isinstance(error.__cause__, BrokenPipeError):
-            _complain(f"standard output cannot be written: {error}")
+    except OSError as error:
+        # Unreadable and unwritable files raise InputError; an OSError comes from printing. A program such as `head`
+        # reads the first lines only and needs no error message.
+        if not isinstance(error, BrokenPipeError):
+            complain(f"standard output cannot be written: {error.strerror}")
+        # Python flushes again at its end and would report the error a second time.
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except MemoryError:
-        _complain("the memory of this computer is not enough for it")
+        complain("the memory of this computer is not enough for it")
         status = 1
     except (typer.Abort, KeyboardInterrupt):
         status = 130
@@ -98,8 +103,3 @@ def main(arguments: list[str] | None = None) -> None:
         error.show()
         status = error.exit_code
     sys.exit(status if isinstance(status, int) else 0)
-
-
-def _complain(error: object) -> None:
-    with suppress(OSError):
-        sys.stderr.write(f"cvxshear: {error}\n")

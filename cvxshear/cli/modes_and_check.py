@@ -13,7 +13,7 @@ from rich.console import RenderableType
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import deliver, numbers, printing, progress
+from cvxshear.cli.output import complain, deliver, numbers, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
 from cvxshear.util.errors import CvxshearError, InputError
@@ -71,8 +71,7 @@ def new(
     else:
         text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:
-        with printing():
-            sys.stdout.write(text)
+        sys.stdout.write(text)
     else:
         write_file(output, text)
 
@@ -150,7 +149,7 @@ def modes(
             pick=None if pick == options.LIST else numbers(pick, "--pick"),
         )
     errors = [error for error in found if isinstance(error, CvxshearError)]
-    _complain(errors)
+    complain(*errors)
     tests = _kept(found)
     if tests:
         results, reasons = [test.modes for test in tests], list(map(str, errors))
@@ -193,7 +192,7 @@ def measured(
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
     found = modes.identify_modes_many(files, jobs=jobs, progress=progress)
     errors = [error for error in found if isinstance(error, CvxshearError)]
-    _complain(errors[:-1])
+    complain(*errors[:-1])
     if errors:
         raise errors[-1]
     tests = _kept(found)
@@ -202,8 +201,7 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Render the identified modes of each record for a terminal, and the findings about the records."""
-    from cvxshear.io.modes import UNKNOWN_SCALE
-    from cvxshear.records.result import scale_unknown
+    from cvxshear.io.modes import UNKNOWN_SCALE, scale_unsaid
     from cvxshear.report.from_records import amplitude_section
 
     for test in tests:
@@ -216,8 +214,7 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
         if len(results) > 2 and all(result.amplitude for result in results):
             yield from terminal.rendered(amplitude_section(results))
             yield ""
-    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
-    if tests and scale_unknown(tests) and not said:
+    if tests and scale_unsaid(tests):
         yield f"scale: {UNKNOWN_SCALE}"
 
 
@@ -228,8 +225,3 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> list[Json]:
 
 def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:
     return [test for test in found if not isinstance(test, CvxshearError)]
-
-
-def _complain(errors: Sequence[CvxshearError]) -> None:
-    for error in errors:
-        sys.stderr.write(f"cvxshear: {error}\n")

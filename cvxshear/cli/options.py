@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -244,16 +244,15 @@ class ResultOptions:
             load_openpyxl()
         if not self.figure:
             return
-        from cvxshear.report.figures import figures_of
-
-        figures = figures_of(result)
         if LIST in self.figure:
+            from cvxshear.report.figures import figures_of
+
             title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
-            rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
+            rows = ((name, entry.title, entry.needs) for name, entry in figures_of(result).items())
             show([terminal.plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
         for text in self.figure:
-            _split(text, figures)
+            _figure(text, result)
 
     def deliver(
         self,
@@ -298,10 +297,9 @@ class ResultOptions:
         from cvxshear.io.spreadsheets import write_csv, write_xlsx
 
         for text in self.figure or ():
-            from cvxshear.report.figures import figures_of, save
+            from cvxshear.report.figures import save
 
-            entry, path = _split(text, figures_of(type(results[0])))
-            yield partial(lambda entry, path: save(entry.draw(*results), path), entry, path)
+            yield partial(lambda text: save(_figure(text, type(results[0])).draw(*results), _path(text)), text)
         if (table := self.csv) is not None:
             yield lambda: write_csv(table, terminal.sheets_of(*results))
         if (book := self.xlsx) is not None:
@@ -318,13 +316,10 @@ def _path(text: str) -> str:
     return path if colon and len(kind) > 1 else text
 
 
-def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, str]:
-    """Return the figure and the path of a request; the default is the first figure."""
-    path = _path(text)
-    kind = text[: -len(path) - 1] or next(iter(figures))
-    if kind not in figures:
-        from cvxshear.util import checks
+def _figure(text: str, result: type) -> FigureEntry:
+    """Return the figure of a request."""
+    from cvxshear.report.figures import style
+    from cvxshear.util import checks
 
-        hint = checks.near(kind, figures)
-        raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
-    return figures[kind], path
+    with checks.named("--figure"):
+        return style.figure_named(text[: -len(_path(text)) - 1], result)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
-import io
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -47,14 +45,13 @@ def show(parts: Iterable[RenderableType]) -> None:
 
     plain: dict[str, Any] = {} if sys.stdout.isatty() else {"width": 200, "no_color": True}
     console = Console(highlight=False, markup=False, emoji=False, **plain)
-    with printing():
-        for part in parts:
-            whole = console.render_str(part) if isinstance(part, str) else part
-            harmless = (
-                Segment("\n".join(map(printable, each.text.split("\n"))), each.style, each.control)
-                for each in console.render(whole)
-            )
-            console.print(Segments(harmless), end="")
+    for part in parts:
+        whole = console.render_str(part) if isinstance(part, str) else part
+        harmless = (
+            Segment("\n".join(map(printable, each.text.split("\n"))), each.style, each.control)
+            for each in console.render(whole)
+        )
+        console.print(Segments(harmless), end="")
 
 
 def deliver(
@@ -95,9 +92,8 @@ def deliver(
         except InputError as error:
             failures.append(str(error))
     if out == "-":
-        with printing():
-            every_letter = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
-            sys.stdout.write(json_text(result, ascii_only=not every_letter) + "\n")
+        every_letter = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
+        sys.stdout.write(json_text(result, ascii_only=not every_letter) + "\n")
     else:
         show(tables())
     if failures:
@@ -190,48 +186,7 @@ def numbers(
         raise InputError(f"{option} must be {right}, not {text!r}") from None
 
 
-class OutputError(Exception):
-    """Standard output cannot be written."""
-
-
-@contextmanager
-def sound_streams() -> Iterator[None]:
-    """Prepare standard output and error for any terminal: characters outside its encoding become escapes.
-
-    The null device replaces a closed stream: a file opened later must not take the stream's number. As standard output
-    this device is read-only, so that the loss of a result raises an error. As standard error it accepts all text.
-    """
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            null = os.open(os.devnull, os.O_RDONLY if name == "stdout" else os.O_WRONLY)
-            setattr(sys, name, open(null, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - open to the end
-        elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    yield
-    with printing():
-        pass
-
-
-@contextmanager
-def printing() -> Iterator[None]:
-    """Flush the text that is printed inside, and report a failure.
-
-    Raises
-    ------
-    OutputError
-        If standard output cannot be written.
-    """
-    try:
-        yield
-        sys.stdout.flush()
-    except OSError as error:
-        raise lost(error) from error
-
-
-def lost(error: OSError) -> OutputError:
-    """Make the error for a failed standard output, and redirect later output to the null device."""
-    # Python flushes again at its end and would report the error a second time.
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return OutputError("it is closed" if error.errno == errno.EBADF else error.strerror)
+def complain(*errors: object) -> None:
+    """Write errors to standard error, each in one line."""
+    with suppress(OSError):
+        sys.stderr.writelines(f"cvxshear: {error}\n" for error in errors)

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.io import loadmat
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.formats import LIMIT, TOO_LARGE, read_bytes
-from cvxshear.util.errors import InputError, optional, printable
+from cvxshear.io.formats import LIMIT, TOO_LARGE, read_bytes, reading
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.typing import Floats, Json
 
 Array = np.ndarray[Any, Any]
@@ -60,11 +60,10 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
     content = read_bytes(Path(path), limit, TOO_LARGE)
     hdf5 = b"MATLAB 7.3" in content[:128] or content.startswith(b"\x89HDF")
     h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs") if hdf5 else None
-    try:
-        read = _read_hdf5(content, h5py) if hdf5 else _read_mat5(content)
-    except Exception as error:
-        # scipy and h5py raise various exceptions on damaged files.
-        raise InputError(f"{where} is not a MAT file that can be read: {printable(str(error))[:200]}") from None
+    with reading(where, "a MAT file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore" if hdf5 else "error")
+        stream: Any = BytesIO(content)
+        read = _read_hdf5(stream, h5py) if hdf5 else loadmat(stream, simplify_cells=True)
     return columns_of_arrays(read, where)
 
 
@@ -178,16 +177,7 @@ def _split(name: str, array: Array) -> dict[str, Array]:
     return {f"{stem}[{place + 1}]{tail}": table[:, place] for place in range(table.shape[1])}
 
 
-def _read_mat5(content: bytes) -> Mapping[str, Any]:
-    """Read the matrices and structures of a file of version 5 or older by name."""
-    stream: Any = BytesIO(content)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        read: Mapping[str, Any] = loadmat(stream, simplify_cells=True)
-    return read
-
-
-def _read_hdf5(content: bytes, h5py: Any) -> Mapping[str, Any]:
+def _read_hdf5(stream: Any, h5py: Any) -> Mapping[str, Any]:
     """Read the numeric data sets of a file of version 7.3 by name, a field `x` of a structure `run` as `run.x`."""
     found: dict[str, Any] = {}
 
@@ -199,7 +189,7 @@ def _read_hdf5(content: bytes, h5py: Any) -> Mapping[str, Any]:
             # Version 7.3 stores matrices transposed.
             found[name.replace("/", ".")] = values.T
 
-    with h5py.File(BytesIO(content), "r") as file:
+    with h5py.File(stream, "r") as file:
         file.visititems(visit)
     return found
 
@@ -229,16 +219,10 @@ def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
     """
     where = str(path)
     content = read_bytes(Path(path), limit, TOO_LARGE)
-    try:
+    with reading(where, "arrays of NumPy"):
         loaded: Any = np.load(BytesIO(content), allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            names = loaded.dtype.names
-            arrays = {"column": loaded} if names is None else {name: loaded[name] for name in names}
-        else:
-            arrays = {name: loaded[name] for name in loaded.files}
-    except Exception as error:
-        # numpy raises whatever a damaged file makes it run into.
-        raise InputError(f"{where} is not a NumPy file that can be read ({type(error).__name__})") from None
+        names = loaded.dtype.names if isinstance(loaded, np.ndarray) else loaded.files
+        arrays = {"column": loaded} if names is None else {name: loaded[name] for name in names}
     return columns_of_arrays(arrays, where)
 
 
@@ -335,19 +319,14 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
     read_bytes(path, limit, TOO_LARGE)
     pyuff = optional("pyuff", "universal files need")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            file = pyuff.UFF(str(path))
-            places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
-            found = file.read_sets(places) if places else []
-    except Exception as error:
-        # pyuff raises whatever its parsing runs into, and quotes the file, which may have been named by mistake.
-        reason = f"{type(error).__name__} in pyuff"
-        raise InputError(f"{where} is not a universal file that can be read ({reason})") from error
+    with reading(where, "a universal file"), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        file = pyuff.UFF(where)
+        places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
+        found = file.read_sets(places) if places else []
     sets = [found] if isinstance(found, dict) else list(found)
     if any(key not in item for item in sets for key in NEEDED[kind]):
-        raise InputError(f"{where} is not a universal file that can be read: a data set {kind} lacks its numbers")
+        raise InputError(f"{where} cannot be read as a universal file: a data set {kind} lacks its numbers")
     return sets
 
 

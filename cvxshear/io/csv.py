@@ -13,7 +13,7 @@ import io
 import math
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -46,6 +46,10 @@ class Columns:
         A lone number of the file that gives the sampling rate: its name, and the rate in Hz.
     arrays : dict, optional
         Every vector and lone number of a file of arrays by its name, of whatever length.
+    words : dict, optional
+        Cells of the columns that hold words, by the name of the column.
+    preamble : str, optional
+        Lines of the text before the names of the columns.
     """
 
     source: str
@@ -55,6 +59,8 @@ class Columns:
     units: tuple[str, ...] = ()
     stated_rate: tuple[str, float] | None = None
     arrays: Mapping[str, Floats] = field(default_factory=dict)
+    words: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    preamble: str = ""
 
     def __post_init__(self) -> None:
         seen: set[str] = set()
@@ -94,7 +100,7 @@ class Columns:
         bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
         if bad.size:
             raise InputError(
-                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in '
+                f'{self.at(int(bad[0]))}: column "{name}" holds {values[bad[0]]} ({bad.size} such values in '
                 "all); mend the record or cut it before that line"
             )
         return checks.frozen(values.copy())
@@ -149,7 +155,9 @@ class Layout:
     first: int = 0
 
 
-def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
+def read_csv(
+    path: str | Path, limit: float = LIMIT, remedy: str = TOO_LARGE, words: Sequence[str] | None = None
+) -> Columns:
     """Read delimited text.
 
     Parameters
@@ -158,6 +166,10 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
         UTF-8, UTF-16 with its mark, or Latin-1; may be compressed by gzip.
     limit : float, optional
         Bytes that the file, inflated, may have.
+    remedy : str, optional
+        End of the message about a larger file.
+    words : sequence of str, optional
+        For a table whose first line names the columns: those that hold words, in small letters.
 
     Returns
     -------
@@ -168,12 +180,11 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     ------
     InputError
         If the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
-        Messages quote the file only if it is a table of numbers.
     """
-    return columns_of(_text(Path(path), limit), str(path))
+    return columns_of(_text(Path(path), limit, remedy), str(path), words)
 
 
-def columns_of(text: Iterable[str], where: str) -> Columns:
+def columns_of(text: Iterable[str], where: str, words: Sequence[str] | None = None) -> Columns:
     """Read the columns of a text, line by line, as `read_csv` does.
 
     Parameters
@@ -181,19 +192,15 @@ def columns_of(text: Iterable[str], where: str) -> Columns:
     text : iterable of str
     where : str
         The file, for messages.
+    words : sequence of str, optional
+        As for `read_csv`.
     """
     lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
     head = list(islice(lines, LONGEST_HEAD))
-    layout = layout_of(head, where)
+    layout = layout_of(head, where) if words is None else _first_line(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
-    return _columns((each for each in after if not _comment(each[1])), layout, where)
-
-
-def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
-    """Return the lines before the line of names, with comments; parameters as for `read_csv`."""
-    head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
-    layout = layout_of([each for each in head if each[1].strip()], str(path))
-    return "".join(line for number, line in head if number < layout.line)
+    found = _columns((each for each in after if not _comment(each[1])), layout, where, words or ())
+    return replace(found, preamble="".join(line for number, line in head if number < layout.line))
 
 
 def layout_of(head: Sequence[Line], where: str) -> Layout:
@@ -206,9 +213,6 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
     where : str
         The file, for messages.
     """
-    plain = [(number, line) for number, line in head if not _comment(line)]
-    if not plain:
-        raise InputError(f"{where} is empty; a record has a header that names its columns, and a line a sample")
     for place, (number, line) in enumerate(head):
         if _comment(line):
             continue
@@ -218,15 +222,18 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
             found = _header(head[:place], separator, counts[separator])
             if found is not None:
                 return Layout(separator, *found, number)
-    return _first_line(plain[0], where)
+    return _first_line(head, where)
 
 
-def _first_line(line: Line, where: str) -> Layout:
+def _first_line(head: Sequence[Line], where: str) -> Layout:
     """Take the first line as the header if the numbers below do not identify one; later checks report the mistake.
 
     Semicolons, tabs and commas inside quotation marks are part of a name.
     """
-    number, text = line
+    plain = [each for each in head if not _comment(each[1])]
+    if not plain:
+        raise InputError(f"{where} is empty; a table has a header that names its columns, and a line a sample or mode")
+    number, text = plain[0]
     bare = re.sub(r'"[^"]*"', "", text)
     separator = next((mark for mark in SEPARATORS if mark and mark in bare), None)
     names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
@@ -248,7 +255,7 @@ def _header(
             break
         fitting.append((number, tuple(cell.strip() for cell in cells)))
     named = [(n, cells) for n, cells in fitting if not all(_is_datum(each.replace(",", ".")) for each in cells)]
-    if not named or len(named) < len(fitting[:1]):
+    if not named:
         return None
     units: tuple[str, ...] = ()
     if len(named) > 1 and all(UNIT.fullmatch(cell) for cell in named[0][1]) and any(named[0][1]):
@@ -265,8 +272,9 @@ def _numbers_in(line: str, separator: str | None) -> int:
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
 
-def _columns(lines: Iterable[Line], layout: Layout, where: str) -> Columns:
+def _columns(lines: Iterable[Line], layout: Layout, where: str, words: Sequence[str]) -> Columns:
     names = layout.names
+    texts: dict[int, list[str]] = {place: [] for place, name in enumerate(names) if name.lower() in words}
     numbers: list[int] = []
     rows: list[list[float]] = []
     stamps: list[int] = []
@@ -279,11 +287,14 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str) -> Columns:
             raise InputError(
                 f"{where}, line {number} has {len(cells)} cells where the header names {len(names)} columns{last}"
             )
+        for place, found in texts.items():
+            found.append(cells[place].strip())
+            cells[place] = ""
         if not numbers:
             stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
             # The time of the day beside it tells all that a record needs, midnight included.
             dates = {place for place, cell in enumerate(cells) if DATE.fullmatch(cell.strip()) and not _is_number(cell)}
-        rows.append(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
+        rows.append(_row(cells, line, names, f"{where}, line {number}"))
         numbers.append(number)
     if not numbers:
         raise InputError(f"{where} has a header and no samples")
@@ -295,31 +306,26 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str) -> Columns:
     # The empty cell after the last separator of every line is not a column.
     kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
     units = tuple(layout.units[p] for p in kept) if layout.units else ()
-    return Columns(where, tuple(names[p] for p in kept), table[:, kept], np.array(numbers), units)
+    said = {names[place]: found for place, found in texts.items()}
+    return Columns(where, tuple(names[p] for p in kept), table[:, kept], np.array(numbers), units, words=said)
 
 
-def _row(cells: list[str], line: str, names: tuple[str, ...], where: str, *, table: bool) -> list[float]:
+def _row(cells: list[str], line: str, names: tuple[str, ...], where: str) -> list[float]:
     # Python's float takes 1_000 for a thousand.
     if "_" not in line:
         with suppress(ValueError):
             return [float(cell) for cell in cells]
-    return [_cell(cell, where, name, table=table) for cell, name in zip(cells, names, strict=True)]
+    return [_cell(cell.strip(), where, name) for cell, name in zip(cells, names, strict=True)]
 
 
-def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
-    cell = cell.strip()
-    if not cell:
+def _cell(cell: str, where: str, name: str) -> float:
+    if not cell or DATE.fullmatch(cell):
         return math.nan
-    if "_" not in cell:
-        with suppress(ValueError):
-            return float(cell)
-        if found := STAMP.fullmatch(cell):
-            return _seconds(found, where)
-        if DATE.fullmatch(cell):
-            return math.nan
-    if not table:
-        raise InputError(f"{where}: what follows the line of names is no line of numbers; is this a table?")
-    raise InputError(f'{where}: channel "{name}" holds {checks.shown(cell)}, which is not a number')
+    if _is_number(cell):
+        return float(cell)
+    if found := STAMP.fullmatch(cell):
+        return _seconds(found, where)
+    raise InputError(f'{where}: column "{name}" holds {checks.shown(cell)}, which is not a number')
 
 
 def _seconds(stamp: re.Match[str], where: str) -> float:
@@ -360,30 +366,7 @@ def _split(line: str, separator: str | None) -> list[str] | None:
         return None
 
 
-def read_rows(path: str | Path, limit: float, remedy: str) -> Iterator[tuple[int, list[str]]]:
-    """Read number and cells of each line of a small table, header first; cells separated as in `read_csv`.
-
-    Parameters
-    ----------
-    path : str or Path
-    limit : float
-        Bytes.
-    remedy : str
-        What to do about a larger file.
-    """
-    where = str(path)
-    text = _text(Path(path), limit, remedy)
-    lines = [(number, line) for number, line in enumerate(text, 1) if line.strip() and not _comment(line)]
-    if not lines:
-        return
-    bare = re.sub(r'"[^"]*"', "", lines[0][1])
-    separator = next((mark for mark in SEPARATORS if mark and mark in bare), ",")
-    for place, (number, line) in enumerate(lines):
-        comma = "," if separator == "," or not place else "."
-        yield number, _cells(line.replace(",", comma), separator, f"{where}, line {number}")
-
-
-def _text(path: Path, limit: float, remedy: str = TOO_LARGE) -> Iterable[str]:
+def _text(path: Path, limit: float, remedy: str) -> Iterable[str]:
     """Yield the lines of the file."""
     content = read_bytes(path, limit, remedy)
     if content.startswith(b"\x1f\x8b"):

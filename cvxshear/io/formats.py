@@ -4,11 +4,10 @@ A format of one's own is one more line of the table: `register(Format(...))`. Re
 accept the format, and its name is a key of measurement files.
 """
 
-from __future__ import annotations
-
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -48,24 +47,39 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "") -> 
     """
     where = str(path)
     try:
-        if path.is_dir():
-            raise InputError(f"{where} is a folder; name a file in it")
         if path.exists() and not path.is_file():
-            raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
+            kind = "folder; name a file in it" if path.is_dir() else "device or a pipe; save what it gives in a file"
+            raise InputError(f"{where} is a {kind}")
         with path.open("rb") as file:
             content = file.read(int(largest) + 1)
     except FileNotFoundError:
         raise InputError(f"{where}: no such file{absent and f' ({absent})'}") from None
-    except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror}") from None
     except InputError:
         raise
-    except ValueError as error:
-        raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{where} cannot be read: {getattr(error, 'strerror', error)}") from None
     if len(content) > largest:
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
     logger.info("read %s, %d bytes", printable(where), len(content))
     return content
+
+
+@contextmanager
+def reading(path: object, words: str) -> Iterator[None]:
+    """Convert an exception of a reader, whatever a damaged file makes it run into, to an error that names the file.
+
+    Parameters
+    ----------
+    path : str or Path
+    words : str
+        Name of such a file in messages: "a workbook".
+    """
+    try:
+        yield
+    except CvxshearError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path} cannot be read as {words}: {str(error)[:200] or type(error).__name__}") from error
 
 
 def named_after(path: str | Path) -> str:
@@ -115,19 +129,13 @@ class Format:
         return cast("dict[str, Any]", self._read(self.modes, path))
 
     def _read(self, reader: Callable[..., object] | str | None, *given: object) -> object:
-        """Call a reader, and convert its errors to an error that names the file."""
+        """Call a reader, in a module that is imported now or in the hands of a user."""
         assert reader is not None
         if isinstance(reader, str):
             module, _, name = reader.partition(":")
             reader = cast("Callable[..., object]", getattr(import_module(module), name))
-        try:
+        with reading(given[0], self.words):
             return reader(*given)
-        except CvxshearError:
-            raise
-        except OSError as error:
-            raise InputError(f"{given[0]} cannot be read: {error.strerror}") from error
-        except (ValueError, LookupError) as error:
-            raise InputError(f"{given[0]} cannot be read as {self.words}: {error}") from error
 
 
 HERE = "cvxshear.io"

@@ -1,7 +1,5 @@
 """Modes of record files: of one or several as one measurement."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -97,7 +95,7 @@ def modes_from_file(path: str | Path, *, output: str | Path | None = None, **opt
     test = _tested((str(path), None), options=options)
     if isinstance(test, CvxshearError):
         raise test
-    if scale_unknown([test]) and not any(finding.kind == "scale" for finding in test.modes.findings):
+    if scale_unsaid([test]):
         scale = Finding("scale", UNKNOWN_SCALE, {"total_mass": 1.0})
         modes = dataclasses.replace(test.modes, findings=(*test.modes.findings, scale))
         test = dataclasses.replace(test, modes=modes)
@@ -142,13 +140,17 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     """
     declared = merged(tests)
     Experiment.from_dict(declared, name=Path(path).stem)
-    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
-    comments = [f"scale: {UNKNOWN_SCALE}"] if scale_unknown(tests) and not said else []
+    comments = [f"scale: {UNKNOWN_SCALE}"] if scale_unsaid(tests) else []
     for test in tests:
         modes = test.modes
         comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
         comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
     write_measurement(path, declared, comments)
+
+
+def scale_unsaid(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Return whether the scale of the masses is unknown and no finding reports it."""
+    return scale_unknown(tests) and not any(each.kind == "scale" for test in tests for each in test.modes.findings)
 
 
 def _tested(item: tuple[str, int | None], *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:

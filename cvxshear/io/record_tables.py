@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -61,15 +60,9 @@ class ChannelDeclaration(kinds.Channel):
     factor: float = 1.0
     quantity: str = "acceleration"
 
-    @property
-    def grounded(self) -> bool:
-        """Whether the channel measures the ground."""
-        return self.floor == 0 and self.quantity != "force"
-
-    @property
-    def responds(self) -> bool:
-        """Whether the channel measures a floor."""
-        return self.floor > 0 and self.quantity != "force"
+    def read(self, columns: Columns) -> Floats:
+        """Read the channel from the columns of a file, in SI units."""
+        return self.factor * columns.column(self.name, self.place)
 
 
 class RecordFile:
@@ -129,7 +122,7 @@ class RecordFile:
         table = checks.keys(found, TABLES, ["record", "channel"], str(path))
         header = re.compile(r"^\s*\[\[\s*channel\s*\]\]")
         lines = [number for number, line in enumerate(text.splitlines(), 1) if header.match(line)]
-        with placed(path):
+        with checks.named(str(path)):
             self.frame, self.priors = table.get("frame", {}), table.get("prior", [])
             in_tables = isinstance(self.priors, list) and all(isinstance(prior, Mapping) for prior in self.priors)
             if not isinstance(self.frame, Mapping) or not in_tables:
@@ -146,45 +139,67 @@ class RecordFile:
             self.input = checks.choice(declared.get("input", "none"), kinds.INPUTS, "record: input")
             self.name = checks.text(declared.get("name", named_after(path)), "record: name")
             self.runs = runs_of(table, declared)
-            state = table.get("state")
+            self.files = (path, *(path.parent / run["file"] for run in self.runs))
+            state, added, pick = table.get("state"), table.get("added_mass"), declared.get("pick")
             self.state = None if state is None else checks.text(state, "state")
-            added, pick = table.get("added_mass"), declared.get("pick")
             self.added_mass = None if added is None else checks.vector(added, "added_mass", least=0.0).tolist()
             self.pick = None if pick is None else checks.vector(pick, "record: pick", above=0.0).tolist()
-        self.files = (path, *(path.parent / run["file"] for run in self.runs))
 
     @property
     def driver(self) -> ChannelDeclaration | None:
         """The channel of the excitation."""
         if self.input not in ("base", "force"):
             return None
-        force = self.input == "force"
-        found = [item for item in self.channels if (item.quantity == "force" if force else item.grounded)]
+        forces = [item for item in self.channels if item.quantity == "force"]
+        ground = [item for item in self.channels if item.quantity != "force" and item.floor == 0]
+        found = forces if self.input == "force" else ground
         if len(found) != 1:
-            what = 'with quantity = "force"' if force else "on the ground (floor = 0)"
+            what = 'with quantity = "force"' if self.input == "force" else "on the ground (floor = 0)"
             raise InputError(f'input = "{self.input}" needs one channel {what}, there are {len(found)}')
         return found[0]
 
-    @property
-    def responses(self) -> list[ChannelDeclaration]:
-        """The channels on floors."""
-        driver = self.driver
-        return [item for item in self.channels if item is not driver and item.responds]
-
-    def columns(self, run: Mapping[str, Any]) -> Columns:
+    def _columns(self, run: Mapping[str, Any]) -> Columns:
         """Read the columns of a run's file."""
-        limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
-        found: Columns = read_columns(
-            self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
-        )
+        limit = checks.number(self.declared.get("size_limit", LIMIT / MEGABYTE), "record: size_limit (MB)", above=0.0)
+        found: Columns = read_columns(self.path.parent / run["file"], MEGABYTE * limit)
         return found
 
-    def floor(self, place: int, otherwise: int | None = None) -> int:
+    def _floor(self, place: int, otherwise: int | None = None) -> int:
         """Find the floor of the force of a run; runs are counted from 1."""
         floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
         if floor is None:
             raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
         return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+
+    def _parts(self, needed: Sequence[ChannelDeclaration]) -> Iterator[tuple[int, Mapping[str, Any], str, Columns]]:
+        """Read the file of every run; a `*` in the columns' names makes a run of each name that it can stand for."""
+        names = [name for name in (*(item.name for item in needed), self.declared.get("time", "")) if "*" in name]
+        for place, run in enumerate(self.runs, 1):
+            columns, name = self._columns(run), str(run.get("name", Path(run["file"]).name))
+            if not names:
+                yield place, run, name, columns
+                continue
+            # scipy.io loads slowly.
+            arrays = import_module("cvxshear.io.arrays")
+            for star, part in arrays.parts_of(columns, names):
+                yield place, run, f"{name} {star}", part
+
+    def _common(self) -> dict[str, Any]:
+        """Return the arguments of both kinds of records."""
+        declared = self.declared
+        return {
+            "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
+            "quantity": declared.get("quantity", "acceleration"),
+            "band": declared.get("band"),
+            "exponential_window": declared.get("exponential_window"),
+            "name": self.name,
+            "turns": self.turns,
+        }
+
+    @property
+    def responses(self) -> list[ChannelDeclaration]:
+        """The channels on floors."""
+        return [item for item in self.channels if item.quantity != "force" and item.floor > 0]
 
     def pieces(self, needed: Sequence[ChannelDeclaration]) -> tuple[list[Piece], float]:
         """Read every uninterrupted stretch of every run, and the sampling rate, Hz.
@@ -200,10 +215,9 @@ class RecordFile:
             If a file cannot be read, or two were sampled at different rates.
         """
         driver, found, rates = self.driver, [], []
-        for place, run, star, columns in self._parts(needed):
-            name = " ".join(filter(None, (str(run.get("name", Path(run["file"]).name)), star)))
-            floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
-            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
+        for place, run, name, columns in self._parts(needed):
+            floor = 0 if driver is None or self.input != "force" else self._floor(place, driver.floor or None)
+            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run)
             rates.append((rate, columns.source))
             if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
                 raise InputError(
@@ -211,44 +225,18 @@ class RecordFile:
                     "sampling rates in one record; resample one of them"
                 )
             for number, rows in enumerate(stretches, 1):
-                part = columns.rows(rows)
-                excitation, noise_from = None, None
+                part, excitation, noise_from, span = columns.rows(rows), None, None, (None, None)
                 if driver is not None:
-                    excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
+                    excitation = driver.read(part)
                     if driver.quantity in ("velocity", "displacement"):
                         excitation, noise_from = differentiated(excitation, rate, driver.quantity)
+                if rows != slice(0, len(columns.values)):
+                    clock = since_first(columns, self.declared)
+                    span = (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
-                whole = rows == slice(0, len(columns.values))
-                clock = None if whole else since_first(columns, self.declared)
-                span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
                 said = left_out if number == 1 else ""
                 found.append(Piece(name, called, part, excitation, floor, span, said, noise_from))
         return found, rates[0][0]
-
-    def _parts(self, needed: Sequence[ChannelDeclaration]) -> Iterator[tuple[int, Mapping[str, Any], str, Columns]]:
-        """Read the file of every run; a `*` in the columns' names makes a run of each name that it can stand for."""
-        names = [name for name in (*(item.name for item in needed), self.declared.get("time", "")) if "*" in name]
-        for place, run in enumerate(self.runs, 1):
-            columns = self.columns(run)
-            if not names:
-                yield place, run, "", columns
-                continue
-            # scipy.io loads slowly.
-            arrays = import_module("cvxshear.io.arrays")
-            for star, part in arrays.parts_of(columns, names):
-                yield place, run, star, part
-
-    def _common(self) -> dict[str, Any]:
-        """Return the arguments of both kinds of records."""
-        declared = self.declared
-        return {
-            "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
-            "quantity": declared.get("quantity", "acceleration"),
-            "band": declared.get("band"),
-            "exponential_window": declared.get("exponential_window"),
-            "name": self.name,
-            "turns": self.turns,
-        }
 
     def time_record(self) -> tuple[kinds.TimeRecord, list[kinds.Finding]]:
         """Read time histories, with a note on each run of which samples are left out."""
@@ -256,48 +244,52 @@ class RecordFile:
         quantities = {item.quantity for item in responses}
         if len(quantities) > 1:
             raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
+        if not responses:
+            raise InputError("no channel is on a floor above the ground")
         pieces, rate = self.pieces([*responses, *([] if driver is None else [driver])])
         for piece in pieces:
             if piece.left_out:
                 count = sum(each.run == piece.run for each in pieces)
                 notes.append(kinds.Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
-        noise_from = min((piece.noise_from for piece in pieces if piece.noise_from is not None), default=None)
-        if noise_from is not None and driver is not None:
-            said = f"the ground was recorded as a {driver.quantity} and is differentiated up to {noise_from:.3g} Hz"
-            numbers = {"channel": driver.name, "quantity": driver.quantity, "noise_from": noise_from}
+        limits = [piece.noise_from for piece in pieces if piece.noise_from is not None]
+        if limits and driver is not None:
+            said = f"the ground was recorded as a {driver.quantity} and is differentiated up to {min(limits):.3g} Hz"
+            numbers = {"channel": driver.name, "quantity": driver.quantity, "noise_from": min(limits)}
             notes.append(
                 kinds.Finding("ground", f"{said}, where it is above its noise; higher modes are not excited", numbers)
             )
-        if not responses:
-            raise InputError("no channel is on a floor above the ground")
         runs = []
         for each in pieces:
-            table = [item.factor * each.columns.column(item.name, item.place or self.path.name) for item in responses]
-            runs.append(kinds.Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
-        common = {**self._common(), **({"quantity": quantities.pop()} if quantities else {})}
-        record = kinds.TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input)
-        return record, notes
+            table = np.column_stack([item.read(each.columns) for item in responses])
+            runs.append(kinds.Run(table, each.excitation, each.floor, each.name, *each.span))
+        common = {**self._common(), "quantity": quantities.pop()}
+        return kinds.TimeRecord(
+            tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input
+        ), notes
 
     def frf_record(self) -> kinds.FrfRecord:
         """Read frequency response functions."""
-        declared, channels = self.declared, self.channels
+        declared, channels, common = self.declared, self.channels, self._common()
         if declared.get("input", "force") != "force":
             raise InputError('record: frequency response functions have input = "force"')
         made, axes = [], []
         for place, run in enumerate(self.runs, 1):
-            columns = self.columns(run)
+            columns = self._columns(run)
             name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
             if name is None:
                 raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
             axes.append((columns.column(name, "record: frequency"), columns.source))
-            floor = self.floor(place)
-            responses = np.column_stack([_complex(columns, item, self.path) for item in channels])
-            made.append(kinds.FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
+            real, imaginary = (
+                np.column_stack([replace(item, name=f"{item.name}_{end}").read(columns) for item in channels])
+                for end in ("re", "im")
+            )
+            floor, called = self._floor(place), run.get("name", Path(run["file"]).name)
+            made.append(kinds.FrfRun(real + 1j * imaginary, floor, called))
         for axis, source in axes[1:]:
             if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
                 raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
         return kinds.FrfRecord(
-            tuple(channels), **self._common(), runs=tuple(made), frequencies=axes[0][0],
+            tuple(channels), **common, runs=tuple(made), frequencies=axes[0][0],
             truncated=declared.get("truncated", True),
         )  # fmt: skip
 
@@ -333,12 +325,6 @@ class Piece:
     noise_from: float | None = None
 
 
-def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
-    asked = item.place or path.name
-    real, imaginary = f"{item.name}_re", f"{item.name}_im"
-    return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
-
-
 def read_record(path: str | Path) -> RecordFile:
     """Read a record file and the files it names.
 
@@ -357,24 +343,13 @@ def read_record(path: str | Path) -> RecordFile:
         The message names the file, the key or the channel with its line, and the expected input.
     """
     file = RecordFile(Path(path))
-    with placed(file.path):
+    with checks.named(str(path)):
         if file.kind == "frf":
             file.record = file.frf_record()
         else:
             file.record, notes = file.time_record()
             file.notes = tuple(notes)
     return file
-
-
-@contextmanager
-def placed(path: Path) -> Iterator[None]:
-    """Put the name of the file before the messages of errors."""
-    try:
-        yield
-    except InputError as error:
-        message = str(error)
-        # Errors of other readers name their own files.
-        raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
 
 
 def channels_of(
@@ -400,7 +375,7 @@ def channels_of(
         factor = sign * in_si * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
-        stands = f"line {line} of {path.name}" if line else ""
+        stands = f"line {line} of {path.name}" if line else path.name
         along = one.get("direction", 90.0 if turns and axis == "y" else None)
         stood = one.get("position"), along
         found.append(ChannelDeclaration(column, floor, axis, stands, unit, *stood, factor, quantity))
@@ -455,11 +430,7 @@ def _run(item: object, where: str) -> Mapping[str, Any]:
 
 
 def pieces_of(
-    columns: Columns,
-    needed: Sequence[ChannelDeclaration],
-    declared: Mapping[str, Any],
-    run: Mapping[str, Any],
-    path: Path,
+    columns: Columns, needed: Sequence[ChannelDeclaration], declared: Mapping[str, Any], run: Mapping[str, Any]
 ) -> tuple[list[slice], float, str]:
     """Find the longest stretches of a file without gaps, its sampling rate, and a sentence on what was left out.
 
@@ -470,8 +441,6 @@ def pieces_of(
         Whose columns must hold numbers.
     declared, run : dict
         The tables [record] and [[run]]; of the latter, `start` and `end` in s since the first sample.
-    path : Path
-        The record file.
 
     Returns
     -------
@@ -488,7 +457,7 @@ def pieces_of(
         Most of the samples would be left out, or there are no samples between `start` and `end`.
     """
     for item in needed:
-        columns.check(item.name, item.place or path.name)
+        columns.check(item.name, item.place)
     name = time_column_of(declared, columns)
     sound: Bools = np.all(np.isfinite(columns.values[:, [columns.names.index(item.name) for item in needed]]), axis=1)
     breaks: list[int] = []
@@ -506,7 +475,7 @@ def pieces_of(
     whole = sound_rows == [slice(first, last)]
     for item in needed if whole else ():
         # The reader of the whole record reports other mistakes.
-        columns.rows(sound_rows[0]).column(item.name, item.place or path.name)
+        item.read(columns.rows(sound_rows[0]))
     if name is not None:
         rate = rate_of(declared, columns.rows(max(sound_rows, key=lambda each: each.stop - each.start)))
     if whole:

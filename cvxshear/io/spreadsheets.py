@@ -9,6 +9,7 @@ Only the frequency and one floor at least must be there; an empty cell of a shap
 Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 """
 
+import csv
 import io
 import math
 import re
@@ -20,18 +21,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from cvxshear.io.csv import Columns, columns_of, read_rows
-from cvxshear.io.formats import LARGEST_FILE, TOO_LARGE, read_bytes
-from cvxshear.util import checks
+from cvxshear.io.csv import Columns, columns_of, read_csv
+from cvxshear.io.formats import LARGEST_FILE, TOO_LARGE, read_bytes, reading
 from cvxshear.util.errors import InputError, optional, printable
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import cell_text, write_file
 
 Cell = str | float | int | None
-Rows = list[tuple[int, list[Cell]]]
 
-#: Largest length of the title of a sheet, letters (Excel).
-LONGEST_TITLE = 31
+#: Largest length of the title of a sheet, letters: Excel takes 31, and openpyxl numbers titles that come twice.
+LONGEST_TITLE = 28
 
 #: Largest length of a cell, letters (Excel).
 LONGEST_CELL = 32_767
@@ -85,7 +84,9 @@ def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
     """Write a table as comma-separated text, numbers to their last digit."""
-    return "".join(",".join(map(_csv_cell, row)) + "\n" for row in (header, *rows))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([_plain(cell) for cell in row] for row in (header, *rows))
+    return text.getvalue()
 
 
 def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
@@ -109,9 +110,8 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     """
     book = load_openpyxl().Workbook()
     book.remove(book.active)
-    taken = {RESERVED}
     for sheet in sheets:
-        page = book.create_sheet(_title(sheet.title, taken))
+        page = book.create_sheet(_title(sheet.title))
         for row in (sheet.header, *sheet.rows):
             page.append(tuple(map(_plain, row)))
         for cell in next(page.rows, ()):
@@ -122,16 +122,16 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     return content.getvalue()
 
 
-def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[int, list[Any]]]:
-    """Yield number and cells of each row of a workbook's first sheet that is not empty.
+def read_xlsx(path: str | Path, limit: float, remedy: str = TOO_LARGE, words: Sequence[str] | None = None) -> Columns:
+    """Read the columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
 
     Parameters
     ----------
     path : str or Path
     limit : float
-        Bytes that the file may have.
-    remedy : str
-        End of the message about a larger file.
+        Bytes, as for `read_csv`.
+    remedy, words : optional
+        As for `read_csv`.
 
     Raises
     ------
@@ -140,27 +140,10 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     """
     openpyxl = load_openpyxl()
     content = io.BytesIO(read_bytes(Path(path), limit, remedy))
-    try:
+    with reading(path, "a workbook"):
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)
-        found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
-    except Exception as error:
-        # openpyxl raises whatever its parsing of the archive runs into.
-        raise InputError(f"{path!s} is not a workbook that can be read ({type(error).__name__})") from None
-    return [(number, row) for number, row in enumerate(found, 1) if any(cell not in (None, "") for cell in row)]
-
-
-def read_xlsx(path: str | Path, limit: float) -> Columns:
-    """Read the columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
-
-    Parameters
-    ----------
-    path : str or Path
-    limit : float
-        Bytes, as for `read_csv`.
-    """
-    rows = read_xlsx_rows(path, limit, TOO_LARGE)
-    lines = {number: "\t".join(map(_as_text, row)) for number, row in rows}
-    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path))
+        rows = ["\t".join(map(_as_text, row)) for row in book.worksheets[0].iter_rows(values_only=True)]
+    return columns_of(rows, str(path), words)
 
 
 def _as_text(cell: object) -> str:
@@ -182,15 +165,10 @@ def load_openpyxl() -> Any:
     return optional("openpyxl", "workbooks need")
 
 
-def _title(name: str, taken: set[str]) -> str:
-    """Remove forbidden characters from the title of a sheet, and make it unique regardless of case."""
+def _title(name: str) -> str:
+    """Remove forbidden characters from the title of a sheet."""
     plain = re.sub(r"[\\/*?:\[\]]", " ", printable(name))[:LONGEST_TITLE].strip(" '") or "sheet"
-    title, place = plain, 1
-    while title.lower() in taken:
-        place += 1
-        title = f"{plain[: LONGEST_TITLE - len(str(place)) - 1]} {place}"
-    taken.add(title.lower())
-    return title
+    return f"{plain} 2" if plain.lower() == RESERVED else plain
 
 
 def _plain(cell: Cell) -> Cell:
@@ -199,24 +177,13 @@ def _plain(cell: Cell) -> Cell:
     return None if cell is None or (isinstance(cell, float) and not math.isfinite(cell)) else cell
 
 
-def _csv_cell(cell: Cell) -> str:
-    plain = _plain(cell)
-    if not isinstance(plain, str):
-        return "" if plain is None else repr(plain)
-    # A semicolon or a tab parts cells too, by the program's language.
-    if plain != plain.strip() or any(mark in plain for mark in ',;\t"'):
-        return '"' + plain.replace('"', '""') + '"'
-    return plain
-
-
 def read_mode_csv(path: str | Path) -> Json:
     """Read the modes of a table in a CSV file.
 
     Parameters
     ----------
     path : str or Path
-        Cells are separated by semicolons, tabs or commas: the first of these that the header has. With another
-        separator than a comma, numbers may have a decimal comma. Lines that begin with # are comments.
+        Separators, decimal commas and comments as in `read_csv`.
 
     Returns
     -------
@@ -228,39 +195,18 @@ def read_mode_csv(path: str | Path) -> Json:
     InputError
         The message names the file, the line and the column.
     """
-    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)]
-    return _modes_of(rows, str(path))
+    return _modes_of(read_csv(path, LARGEST_FILE, TOO_LARGE_TABLE, words=()))
 
 
 def read_mode_xlsx(path: str | Path) -> Json:
-    """Read the modes of a table on the first sheet of a workbook.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    dict
-        Keys of a table [[configuration]].
-
-    Raises
-    ------
-    InputError
-        The message names the file, the row and the column. Also if openpyxl (the extra `xlsx`) is not installed.
-    """
-    rows: Rows = list(read_xlsx_rows(path, LARGEST_FILE, TOO_LARGE_TABLE))
-    return _modes_of(rows, str(path))
+    """Read the modes of a table on the first sheet of a workbook, as `read_mode_csv` does."""
+    return _modes_of(read_xlsx(path, LARGEST_FILE, TOO_LARGE_TABLE, words=()))
 
 
-def _modes_of(rows: Rows, source: str) -> Json:
-    """Return the keys of a configuration that a table's rows hold, the header first."""
-    if len(rows) < 2:
-        raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
-    header = [str(cell or "") for cell in rows[0][1]]
-    found = _places(
-        header, source, _mode_key, "a table of modes: mode, frequency, frequency std, damping, floor 1, ..."
-    )
+def _modes_of(columns: Columns) -> Json:
+    """Return the keys of a configuration that a table holds."""
+    source, values = columns.source, columns.values
+    found = _places(columns, _mode_key, "a table of modes: mode, frequency, frequency std, damping, floor 1, ...")
     places = {key: place for (key, floor, _), place in found.items() if floor == 0}
     entries, stds = (
         {floor: place for (key, floor, _), place in found.items() if key == what} for what in ("entry", "std")
@@ -270,7 +216,6 @@ def _modes_of(rows: Rows, source: str) -> Json:
         raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
     if len(units) > len({key for key, _ in units}):
         raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
-    values = np.array([_numbers(row, number, header, source) for number, row in rows[1:]])
     floors = sorted(entries)
     shapes = values[:, [entries[floor] for floor in floors]]
     result: Json = {"measured_floors": floors, "mode_shapes": shapes.tolist()}
@@ -285,30 +230,34 @@ def _modes_of(rows: Rows, source: str) -> Json:
         result["mode_shape_std"] = (values[:, [stds[floor] for floor in floors]] / largest).tolist()
     for key, place in places.items():
         column = values[:, place]
-        missing = np.flatnonzero(np.isnan(column))
         # A mode does not need a damping ratio.
-        if missing.size and (key != "damping_ratios" or missing.size == len(column)):
-            raise InputError(f'{source}, line {rows[1 + missing[0]][0]}: column "{header[place]}" is empty')
+        if key != "damping_ratios" or np.all(np.isnan(column)):
+            _refuse_empty(columns, place)
         result[key] = column.astype(int).tolist() if key == "modes" else column.tolist()
     if ABSOLUTE in result:
         result["frequency_std"] = (np.array(result.pop(ABSOLUTE)) / result["frequencies"]).tolist()
     return result
 
 
+def _refuse_empty(columns: Columns, place: int) -> None:
+    missing = np.flatnonzero(np.isnan(columns.values[:, place]))
+    if missing.size:
+        where = f'{columns.at(int(missing[0]))}: column "{columns.names[place]}"'
+        raise InputError(f"{where} is empty; fill it in, or leave the line out")
+
+
 Key = TypeVar("Key")
 
 
-def _places(header: Sequence[str], source: str, key_of: Callable[[str], Key | None], known: str) -> dict[Key, int]:
+def _places(columns: Columns, key_of: Callable[[str], Key | None], known: str) -> dict[Key, int]:
     """Find the place of each column by the key of its name, in lower case without punctuation."""
     places: dict[Key, int] = {}
-    for place, name in enumerate(header):
+    for place, name in enumerate(columns.names):
         key = key_of(" ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split()))
         if key is None:
-            # Do not quote a file of another kind: the user may have named the wrong file.
-            shown = f'column "{name[:60]}"' if places else f"column {place + 1}"
-            raise InputError(f"{source}: {shown} is not one of {known}")
+            raise InputError(f'{columns.source}: column "{name[:60]}" is not one of {known}')
         if key in places:
-            raise InputError(f'{source}: the column "{name}" is there twice')
+            raise InputError(f'{columns.source}: the column "{name}" is there twice')
         places[key] = place
     return places
 
@@ -319,23 +268,6 @@ def _mode_key(name: str) -> tuple[str, int, bool] | None:
     if floor is not None:
         return "std" if floor[2] else "entry", int(floor[1]), floor[3] is not None
     return (COLUMNS[name], 0, False) if name in COLUMNS else None
-
-
-def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str) -> list[float]:
-    """Read a row's numbers; nan where a cell is empty, or missing at the end of the row."""
-    if any(cell not in (None, "") for cell in row[len(header) :]):
-        raise InputError(f"{source}, line {line} has more cells than the header has columns, {len(header)}")
-    found = [math.nan] * len(header)
-    for place, (cell, name) in enumerate(zip(row, header, strict=False)):
-        if cell is not None and str(cell).strip():
-            try:
-                found[place] = float(cell)
-            except (TypeError, ValueError):
-                said = checks.shown(cell)
-                raise InputError(
-                    f'{source}, line {line}: column "{name}" holds {said}, which is not a number'
-                ) from None
-    return found
 
 
 #: Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor.
@@ -368,29 +300,20 @@ def read_repeats(path: str | Path) -> Json:
     InputError
         The message names the file, the line and the column.
     """
-    source = str(path)
-    table = read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)
-    rows: Rows = [(number, [cell.strip() for cell in cells]) for number, cells in table]
-    header = [str(cell) for cell in rows[0][1]] if rows else []
-    places = _places(
-        header, source, _test_key, 'repeated tests: "frequency 1", ..., "shape 1 3" (mode, floor), "block"'
-    )
+    columns = read_csv(path, LARGEST_FILE, TOO_LARGE_TABLE, words=("block",))
+    places = _places(columns, _test_key, 'repeated tests: "frequency 1", ..., "shape 1 3" (mode, floor), "block"')
     at_block = places.pop((0, 0), None)
     modes, floors = (sorted({key[at] for key in places if bool(key[1]) == bool(at)}) for at in (0, 1))
     if not modes or any(mode not in modes for mode, _ in places):
-        raise InputError(f'{source} needs a column "frequency 1", "frequency 2", ... for each mode')
-    blank = [[None if place == at_block else cell for place, cell in enumerate(row)] for _, row in rows[1:]]
-    values = np.array([_numbers(row, rows[at][0], header, source) for at, row in enumerate(blank, 1)])
-    values = np.column_stack([values.reshape(len(blank), len(header)), np.full(len(blank), np.nan)])
-    frequencies = values[:, [places[mode, 0] for mode in modes]]
-    if np.isnan(frequencies).any():
-        test, mode = np.argwhere(np.isnan(frequencies))[0]
-        raise InputError(f"{source}, line {rows[1 + test][0]}: frequency {modes[mode]} is empty; leave the test out")
-    repeats: Json = {"frequencies": frequencies.tolist()}
+        raise InputError(f'{path!s} needs a column "frequency 1", "frequency 2", ... for each mode')
+    for mode in modes:
+        _refuse_empty(columns, places[mode, 0])
+    values = np.pad(columns.values, ((0, 0), (0, 1)), constant_values=np.nan)
+    repeats: Json = {"frequencies": values[:, [places[mode, 0] for mode in modes]].tolist()}
     result: Json = {"repeats": repeats, "modes": modes}
     if floors:
-        entries = [[places.get((mode, floor), len(header)) for floor in floors] for mode in modes]
+        entries = [[places.get((mode, floor), -1) for floor in floors] for mode in modes]
         repeats["mode_shapes"], result["measured_floors"] = values[:, entries].tolist(), floors
     if at_block is not None:
-        repeats["block"] = [str(row[at_block]) for _, row in rows[1:]]
+        repeats["block"] = columns.words[columns.names[at_block]]
     return result

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.io.csv import Columns, preamble_of
-from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
+from cvxshear.io.csv import Columns
+from cvxshear.io.formats import LIMIT, named_after, read_columns, read_modes_of
 from cvxshear.io.record_tables import FREQUENCY_NAMES
 from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
@@ -285,8 +285,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         rate = f"{toml_line('frequency', frequency)}  # GUESSED from the name"
     else:
         time = time_column(columns)
-        is_text = (found := format_of(path)) is None or found.name in ("csv", "gz")
-        rate = _rate(columns, time, preamble_of(path, LIMIT) if is_text else "")
+        rate = _rate(columns, time)
     guesses = guesses_of(columns, [name for name in columns.names if name != time])
     if not guesses:
         raise InputError(f"{path} has no column of numbers besides the time; is it a record?")
@@ -346,13 +345,13 @@ def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: i
     return "\n".join(written) + "\n"
 
 
-def _rate(columns: Columns, time: str | None, preamble: str) -> str:
+def _rate(columns: Columns, time: str | None) -> str:
     """Write the lines about the sampling of the record."""
     if time is None and columns.stated_rate is not None:
         name, rate = columns.stated_rate
         return f"sampling_rate = {rate:.9g}  # Hz, GUESSED from {toml_line('x', name)[4:]} in the file"
     if time is None:
-        found = RATE.search(preamble)
+        found = RATE.search(columns.preamble)
         if found is None:
             return "# sampling_rate = 100.0  # Hz: FILL IN, the file has no column of time"
         return f"sampling_rate = {float(found[1].replace(',', '.'))}  # Hz, GUESSED from {toml_line('x', found[0])[4:]}"

@@ -51,10 +51,9 @@ class OtherModes(InTable):
         if isinstance(declared, OtherModes):
             declared = declared.to_dict()
         table = checks.keys(declared, ["modes", "probability"], ["modes", "probability"], where)
-        modes = checks.ascending_whole(table["modes"], f"{where}: modes", most=MOST_STORIES)
-        if len(modes) != len(own):
-            needed = f"{checks.entries(len(own))}, one a frequency"
-            raise InputError(f"{where}: modes must have {needed}, not {len(modes)}")
+        modes = checks.ascending_whole(
+            table["modes"], f"{where}: modes", most=MOST_STORIES, length=len(own), each=", one a frequency"
+        )
         if np.array_equal(modes, own):
             raise InputError(f"{where}: modes are those of the configuration itself; leave the entry out")
         probability = checks.number(table["probability"], f"{where}: probability", above=0.0)
@@ -70,10 +69,8 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
     ------
     InputError
     """
-    if not isinstance(declared, list | tuple) or not all(isinstance(item, Mapping | OtherModes) for item in declared):
-        needed = "a list of tables, each with modes and probability"
-        raise InputError(f"{where} must be {needed}, not {checks.shown(declared)}")
-    found = tuple(OtherModes.of(item, own, f"{where}, entry {place}") for place, item in enumerate(declared, 1))
+    tables = checks.items(declared, where, "tables, each with modes and probability")
+    found = tuple(OtherModes.of(item, own, f"{where}, entry {place}") for place, item in enumerate(tables, 1))
     if len({tuple(item.modes.tolist()) for item in found}) < len(found):
         raise InputError(f"{where} has the same modes twice")
     total = sum(item.probability for item in found)
@@ -137,13 +134,10 @@ class Sensor(InTable):
         InputError
             Naming the entry, the key, the value found and what would be right.
         """
-        if not isinstance(declared, list | tuple):
-            raise InputError(f"{where} must be a list of sensors, not {checks.shown(declared)}")
-        found = []
-        for place, item in enumerate(declared, 1):
+        found: list[Sensor] = []
+        for place, item in enumerate(checks.items(declared, where, "sensors"), 1):
             with checks.named(f"{where}, entry {place}"):
-                own = isinstance(item, Sensor)
-                found.append(item if own else Sensor.of_table(item, "a sensor", "floor", "position"))
+                found.append(Sensor.of_table(item, "a sensor", "floor", "position"))
         rows = {(each.floor, *each.row.round(12)) for each in found}
         if len(rows) < len(found):
             raise InputError(f"{where} has two sensors that read the same motion; give each entry of a shape its own")
@@ -311,7 +305,8 @@ class Configuration(InTable):
         checks.text(self.name, "configuration: name")
         self._put("state", checks.text(self.state, self._at("state")) if self.state else self.name)
         if self.repeats is not None:
-            self._put("repeats", Repeats.of(self.repeats, self._at("repeats")))
+            with checks.named(self._at("repeats")):
+                self._put("repeats", Repeats.of_table(self.repeats, "the table", "frequencies"))
             self._replace(self.derived)
             if "mode_shape_std" in self.derived and self.mode_shape_noise != "additive":
                 raise InputError(f"{self._at('mode_shape_noise')} must be additive, as the scatter of repeats is")
@@ -375,20 +370,13 @@ class Configuration(InTable):
         if _absent(self.modes):
             self._put("modes", checks.frozen(np.arange(1, count + 1)))
         else:
-            self._check("modes", checks.ascending_whole, most=MOST_STORIES)
-            if len(self.modes) != count:
-                needed = f"{checks.entries(count)}, one a frequency"
-                raise InputError(f"{self._at('modes')} must have {needed}, not {len(self.modes)}")
+            self._check("modes", checks.ascending_whole, most=MOST_STORIES, length=count, each=", one a frequency")
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
 
     def _check_covariance(self, value: object) -> None:
         """Check the covariance of the frequencies, and derive their standard deviations from it."""
         where, count = self._at("frequency_covariance"), len(self.frequencies)
-        covariance = checks.table(value, where, rows=count)
-        if covariance.shape[1] != count:
-            raise InputError(
-                f"{where} has {checks.entries(covariance.shape[1])} a row; it must be square, {count} by {count}"
-            )
+        covariance = checks.table(value, where, rows=count, columns=count)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         if np.max(np.abs(covariance - covariance.T)) > SYMMETRIC_TO * np.max(np.abs(covariance)):
             raise InputError(f"{where} must be symmetric: entry [i][j] equal to entry [j][i]")
@@ -426,14 +414,10 @@ class Configuration(InTable):
             self._put("measured_floors", _no_ints())
         else:
             where = self._at("measured_floors")
-            self._check("measured_floors", checks.ascending_whole, most=MOST_STORIES)
             if not width:
                 raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
-            if len(self.measured_floors) != width:
-                raise InputError(
-                    f"{where} has {checks.entries(len(self.measured_floors))}, each row of mode_shapes has {width}: "
-                    "give one entry a measured floor"
-                )
+            each = ", one an entry in each row of mode_shapes"
+            self._check("measured_floors", checks.ascending_whole, most=MOST_STORIES, length=width, each=each)
         if width:
             self._refuse_empty_shapes(self.mode_shapes)
             if (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
@@ -475,13 +459,8 @@ class Configuration(InTable):
         where = self._at("mode_shape_std")
         if not width:
             raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):
-            std = checks.table(value, where, rows=count, above=0.0)
-            if std.shape[1] != width:
-                raise InputError(f"{where} has {checks.entries(std.shape[1])} a row, mode_shapes has {width}")
-            return std
+        if checks.many(value) and any(map(checks.many, checks.items(value, where, "numbers"))):
+            return checks.table(value, where, rows=count, columns=width, above=0.0)
         each = checks.one_or_many(value, where, count, each=", one a mode", above=0.0)
         return checks.frozen(np.repeat(each[:, None], width, axis=1))
 
@@ -578,10 +557,7 @@ class Configuration(InTable):
     @cached_property
     def sensor_rows(self) -> Floats:
         """Observation matrix of the sensors of a frame of N floors that turn, shape (n, 3 N)."""
-        C = np.zeros((len(self.sensors), 3 * len(self.added_mass)))
-        for row, sensor in zip(C, self.sensors, strict=True):
-            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
-        return C
+        return Sensor.rows(self.sensors, len(self.added_mass))
 
     def unloaded(self, name: str) -> Configuration:
         """Return a test of a state of its own with the same sensors and no added mass."""

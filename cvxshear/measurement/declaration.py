@@ -58,7 +58,9 @@ class InTable(checks.ReadOnlyArrays):
     def of_table(
         cls, declared: object, where: str, *required: str, elsewhere: Mapping[str, str] | None = None, **given: object
     ) -> Self:
-        """Read a table whose keys are the fields; `given` has values for fields that it leaves out."""
+        """Take an object, or read a table whose keys are the fields; `given` has values for absent fields."""
+        if isinstance(declared, cls):
+            return declared
         names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]  # every subclass is one
         table = checks.keys(declared, names, required, where, elsewhere=elsewhere)
         return cls(**given | {key: value for key, value in table.items() if value is not None or key in required})
@@ -153,9 +155,8 @@ class Frame(InTable):
         if self.total_mass_placeholder and (self.total_mass is None or self.floor_masses is not None):
             raise InputError("frame: total_mass_placeholder belongs to total_mass; leave it out where that is known")
         checks.put(self, "reference", checks.text, "frame: reference")
-        if not isinstance(self.accept, list | tuple):
-            raise InputError(f"frame: accept must be a list of names, not {checks.shown(self.accept)}")
-        accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in self.accept)
+        names = checks.items(self.accept, "frame: accept", "names")
+        accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in names)
         object.__setattr__(self, "accept", accepted)
         self._check_motions()
 

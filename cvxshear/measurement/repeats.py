@@ -15,8 +15,7 @@ their covariance over the number of blocks is the mean's, however many repeats e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -52,7 +51,8 @@ class Repeats(InTable):
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        tests = [checks.vector(row, f"frequencies, test {at}", above=0.0) for at, row in _listed(self.frequencies)]
+        rows = checks.items(self.frequencies, "frequencies", "tests")
+        tests = [checks.vector(row, f"frequencies, test {at}", above=0.0) for at, row in enumerate(rows, 1)]
         if len(tests) < 2 or len({len(row) for row in tests}) > 1:
             raise InputError("frequencies must have two tests at least, each with the same number of frequencies")
         put(self, "frequencies", checks.frozen(np.array(tests)))
@@ -66,32 +66,16 @@ class Repeats(InTable):
             modes = self.frequencies.shape[1]
             shapes = [
                 checks.table(each, f"mode_shapes, test {at}", rows=modes, nan=True)
-                for at, each in _listed(self.mode_shapes)
+                for at, each in enumerate(checks.items(self.mode_shapes, "mode_shapes", "tests"), 1)
             ]
             if len(shapes) != len(tests) or len({each.shape for each in shapes}) > 1:
                 raise InputError(f"mode_shapes must have {len(tests)} tests, each with the same sensors")
             if np.any(np.ptp(np.isnan(shapes).astype(int), axis=0)):
                 raise InputError("mode_shapes must have nan at the same entries of every test")
             put(self, "mode_shapes", checks.frozen(np.array(shapes)))
-        put(self, "block", tuple(str(each) for _, each in _listed(self.block)))
+        put(self, "block", tuple(map(str, checks.items(self.block, "block", "names"))))
         if self.block and len(self.block) != len(tests):
             raise InputError(f"block must have {checks.entries(len(tests))}, one a test, not {len(self.block)}")
-
-    @staticmethod
-    def of(declared: object, where: str) -> Repeats:
-        """Read the repeats of a configuration.
-
-        Parameters
-        ----------
-        declared : Repeats or dict
-        where : str
-            The key, for messages.
-        """
-        if isinstance(declared, Repeats):
-            return declared
-        names = [item.name for item in fields(Repeats)]
-        with checks.named(where):
-            return Repeats(**checks.keys(declared, names, ["frequencies"], "the table"))
 
     def summary(self, *, mass_normalized: bool) -> dict[str, Floats]:
         """Return the keys of a configuration that the repeats replace, with their values.
@@ -168,14 +152,6 @@ class Repeats(InTable):
             f"{quantities.numbered('frequency', [int(each) + 1 for each in at])}; the mean is known as well as "
             f"{len(self._blocks)} block means tell it"
         )
-
-
-def _listed(value: object) -> list[tuple[int, object]]:
-    """Return the items of a list, a tuple or an array with their numbers from 1."""
-    items = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(items, str | Mapping) or not isinstance(items, Sequence):
-        raise InputError(f"repeats are lists with an item for each test, not {checks.shown(value)}")
-    return list(enumerate(items, 1))
 
 
 def student_factor(dof: int) -> float:

@@ -1,8 +1,7 @@
 """Planning of tests: the floors to measure and the masses to add."""
 
-from cvxshear.planning.design import Design, measurement_of, read_design
+from cvxshear.planning.design import Declared, Design, measurement_of, read_design
 from cvxshear.planning.planner import ExpectedAccuracy, Plan, plan, predicted, write_template
-from cvxshear.planning.tested_model import Declared
 
 __all__ = [
     "Declared", "Design", "ExpectedAccuracy", "Plan", "measurement_of", "plan", "predicted", "read_design",

@@ -3,8 +3,6 @@
 The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,8 +18,7 @@ from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
-from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
-from cvxshear.planning.tested_model import Declared, TestModel
+from cvxshear.planning.design import UNKNOWN_STD, Declared, Design, TestModel, read_design
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.errors import InputError
@@ -67,24 +64,6 @@ class ExpectedAccuracy(InJson):
     def std(self) -> dict[str, Floats]:
         """Standard deviations by quantity, shape (N,)."""
         return {"floor_mass": self.floor_mass_std, "story_stiffness": self.story_stiffness_std}
-
-
-def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: int, by: Criterion) -> ExpectedAccuracy:
-    """Choose floors for these tests, and compute the expected accuracy.
-
-    Parameters
-    ----------
-    model : TestModel
-    tests : sequence of ExpectedTest
-    number : int
-        Number of floors.
-    by : Criterion
-    """
-    choice = choose(model.sensors(tests, number), number, by)
-    design = model.design
-    relative = np.sqrt(np.diag(model.averaged(tests, choice.chosen)))
-    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
-    return ExpectedAccuracy(choice, *np.split(std, 2))
 
 
 def typical_std(covariance: Floats) -> tuple[float, float]:
@@ -411,6 +390,14 @@ def _masses(model: TestModel, grid: Sequence[Floats], count: int, number: int, b
     return choose(model.choices(expected, floors, count), count, by)
 
 
+def _accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: int, by: Criterion) -> ExpectedAccuracy:
+    """Choose this number of floors for these tests, and compute the expected accuracy."""
+    choice = choose(model.sensors(tests, number), number, by)
+    relative = np.sqrt(np.diag(model.averaged(tests, choice.chosen)))
+    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * model.design.sizes
+    return ExpectedAccuracy(choice, *np.split(std, 2))
+
+
 def _finished(model: TestModel, masses: Sequence[Floats], of_grid: Choice | None, number: int, by: Criterion) -> Plan:
     """Make the plan with its expected accuracy, also for one sensor more, one less, and sensors everywhere."""
     n = model.design.stories
@@ -418,7 +405,7 @@ def _finished(model: TestModel, masses: Sequence[Floats], of_grid: Choice | None
     free = [name for i in range(1, len(masses) + len(taken) + 1) if (name := f"planned test {i}") not in taken]
     expected = [model.expected(test) for test in masses]
     counts = {count for count in (number - 1, number, number + 1, n) if 1 <= count <= n}
-    seen = {count: expected_accuracy(model, expected, count, by) for count in counts}
+    seen = {count: _accuracy(model, expected, count, by) for count in counts}
     return Plan(
         model=model,
         criterion=by.name,

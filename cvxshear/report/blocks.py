@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from importlib import import_module
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from cvxshear.util.typing import Floats
@@ -192,19 +192,10 @@ def table(
     return Table(key, title, tuple(columns), **options)  # type: ignore[arg-type]  # no option is the foot
 
 
-def table_of_rows(
-    key: str,
-    title: str,
-    head: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    words: tuple[int, ...] = (0,),
-    brief: bool = False,
-) -> Table:
-    """Make a table for people from the texts of its rows."""
+def table_of_rows(key: str, title: str, head: Sequence[str], rows: Iterable[Sequence[str]], **options: Any) -> Table:
+    """Make a table for people from the texts of its rows, with the options of `table`."""
     cells = list(zip(*rows, strict=True)) or [()] * len(head)
-    columns = (Column(name, texts, place in words) for place, (name, texts) in enumerate(zip(head, cells, strict=True)))
-    return Table(key, title, tuple(columns), brief=brief)
+    return table(key, title, dict(zip(head, cells, strict=True)), **options)
 
 
 def places(count: int, head: str = "", name: str = "") -> Column:

@@ -132,7 +132,7 @@ def render(result: Any, command: str, comparison: Comparison | None = None, fail
             "figure": {name: each for name, each in figure.items() if first.effects or name != "frame"},
             "backends": describe(compared)["worst"],
             "left_out": compared.left_out,
-            "experiment_json": json_text(as_json(first.experiment), indent=1),
+            "experiment_json": json_text(as_json(first.experiment.to_dict()), indent=1),
         }
     elif isinstance(first, ModalResult):
         template = "modal_report.html"

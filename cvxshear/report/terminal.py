@@ -225,5 +225,4 @@ def drawn(result: Any, name: str) -> Any:
     """Draw a figure of a result by its name; an empty name draws the first figure."""
     from cvxshear.report import figures  # noqa: PLC0415 - loads matplotlib
 
-    first = next(iter(figures.figures_of(type(result))), "")
-    return figures.drawn_figure(name or first, result)
+    return figures.drawn_figure(name, result)

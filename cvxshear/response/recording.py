@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.record_tables import ChannelDeclaration, RecordFile, placed
+from cvxshear.io.record_tables import ChannelDeclaration, RecordFile
 from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun, of_channels, trend
@@ -101,7 +101,7 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
 def _of_file(path: Path) -> tuple[list[Channel], DrivenRecord]:
     """Read the motion that a record file declares, with one column for each channel."""
     tables = RecordFile(path)
-    with placed(path):
+    with checks.named(str(path)):
         checks.choice(tables.kind, ("time",), "record: kind, for a motion over time,")
         responses = [item for item in tables.responses if item.quantity == "acceleration"]
         # Clock jumps, declared ends and gaps of the excitation split the file; gaps of a floor do not.
@@ -110,7 +110,7 @@ def _of_file(path: Path) -> tuple[list[Channel], DrivenRecord]:
             DrivenRun(
                 piece.excitation,
                 piece.floor,
-                np.column_stack([_with_gaps(piece.columns, item, path) for item in responses]) if responses else None,
+                np.column_stack([_with_gaps(piece.columns, item) for item in responses]) if responses else None,
                 piece.name,
             )
             for piece in pieces
@@ -122,12 +122,12 @@ def _of_file(path: Path) -> tuple[list[Channel], DrivenRecord]:
         return [*responses], DrivenRecord(runs, rate, tables.input, floors, added, tables.name, tables.state, said)
 
 
-def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
+def _with_gaps(columns: Columns, item: ChannelDeclaration) -> Floats:
     """Return the samples of a sensor in SI units; nan for missing samples."""
-    columns.check(item.name, item.place or path.name)
+    columns.check(item.name, item.place)
     values = columns.values[:, columns.names.index(item.name)]
     if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
-        values = columns.column(item.name, item.place or path.name)
+        return item.read(columns)
     return item.factor * values
 
 

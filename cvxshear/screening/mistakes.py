@@ -7,8 +7,6 @@ data as given, q the share of files with a mistake of its kind. The evidence of 
 mistake certain.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -70,44 +68,17 @@ class Change:
         return ShearFrames.of(self.reading)
 
     @property
-    def log_prior(self) -> float:
-        """Logarithm of the prior odds against the data as given."""
-        return float(np.log(nearest_frame.MISTAKEN / self.choices))
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the evidence of the changed data, up to a constant."""
-        return self.frame.log_evidence
-
-    @property
     def plausible(self) -> bool:
         """Whether a shear frame explains the data."""
         return self.frame.misfit < nearest_frame.PLAUSIBLE * self.frames.count
 
 
-@dataclass(frozen=True, eq=False)
-class SensorChange:
-    """A hypothesis on floors that turn: another place or direction of a sensor, or two sensors exchanged.
-
-    Parameters
-    ----------
-    key, choices, gaps
-        As in `Change`.
-    log_evidence : float
-    """
-
-    key: str
-    choices: int
-    gaps: Mapping[str, object]
-    log_evidence: float
-
-    @property
-    def log_prior(self) -> float:
-        """Logarithm of the prior odds against the data as given."""
-        return float(np.log(nearest_frame.MISTAKEN / self.choices))
+Mistake = TypeVar("Mistake")
 
 
-AnyChange = TypeVar("AnyChange", Change, SensorChange)
+def log_prior(choices: int) -> float:
+    """Return the logarithm of the prior odds of a change with this number of places against the data as given."""
+    return float(np.log(nearest_frame.MISTAKEN / choices))
 
 
 def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
@@ -116,24 +87,25 @@ def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
     return bool(given.misfit + lost < 2 * np.log(quantities.SURE / (1 - quantities.SURE) / nearest_frame.MISTAKEN))
 
 
-def named(given: float, tried: Sequence[AnyChange]) -> list[AnyChange]:
+def named(given: float, tried: Sequence[tuple[float, int, Mistake]]) -> list[Mistake]:
     """Return the changes that together are certain, the most probable first; none if the data may stand as given.
 
     Parameters
     ----------
     given : float
         Logarithm of the evidence of the data as given.
-    tried : sequence of Change or of SensorChange
+    tried : sequence of (float, int, object)
+        Logarithm of the evidence of the changed data, number of places of the change, and the change.
     """
     if not tried:
         return []
-    evidence = [given, *(each.log_evidence for each in tried)]
-    probability = ranking.weigh(evidence, [0.0, *(each.log_prior for each in tried)])
+    evidence = [given, *(each for each, _, _ in tried)]
+    probability = ranking.weigh(evidence, [0.0, *(log_prior(choices) for _, choices, _ in tried)])
     if probability[0] > 1 - quantities.SURE:
         return []
     order = ranking.order(probability[1:])
     needed = int(np.searchsorted(np.cumsum(probability[1:][order]), quantities.SURE * (1 - probability[0]))) + 1
-    return [tried[place] for place in order[:needed]]
+    return [tried[place][-1] for place in order[:needed]]
 
 
 def mistakes(configuration: Configuration) -> list[FileFinding]:
@@ -186,10 +158,11 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     # A change that mends a mistake brings the data near to a frame, and nearer than as given, at the usual tolerance.
     usual = frames.nearest([given.theta]).log_evidence
     nearer = [each for each in rough if each.plausible and each.frame.log_evidence > usual]
-    best = ranking.ranked(nearer, lambda item: item.frame.log_evidence + item.log_prior)[: nearest_frame.SHORTLIST]
-    return given, named(
-        given.log_evidence, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best]
-    )
+    nearer = ranking.ranked(nearer, lambda item: item.frame.log_evidence + log_prior(item.choices))
+    best = [
+        replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in nearer[: nearest_frame.SHORTLIST]
+    ]
+    return given, named(given.log_evidence, [(each.frame.log_evidence, each.choices, each) for each in best])
 
 
 #: A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions.
@@ -377,9 +350,8 @@ def of_sensors(experiment: Experiment, configuration: Configuration) -> list[Fil
             # Such sensors would read one motion twice, or not tell the motions of a floor apart.
             continue
         if misfits:
-            found.append(SensorChange(key, choices, gaps, _log_evidence(misfits)))
-    explaining = named(_log_evidence(given), found)
-    words = [in_words(item.key, **item.gaps) for item in explaining]
+            found.append((_log_evidence(misfits), choices, in_words(key, **gaps)))
+    words = named(_log_evidence(given), found)
     evidence = "the modes of rigid floors would not be orthogonal and read like this"
     return [FileFinding.of_changes(configuration.name, words, evidence, refuses=True)] if words else []
 

@@ -11,8 +11,6 @@ stories, times exp(p x), with a known number x of each test,
 The loop weighs the trends: its search, evidence, noise and rivals decide.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

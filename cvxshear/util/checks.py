@@ -56,10 +56,12 @@ def shown(value: object) -> str:
 
 @contextmanager
 def named(where: str) -> Iterator[None]:
-    """Put the place before the message of each `InputError` raised inside."""
+    """Put the place before the message of each `InputError` raised inside that does not begin with it."""
     try:
         yield
     except InputError as error:
+        if str(error).startswith(where):
+            raise
         raise type(error)(f"{where}: {error}") from error
 
 
@@ -133,10 +135,9 @@ def near(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
 
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
     """Check a finite number, greater than `above` and not less than `least`."""
-    if value is np.ma.masked:
-        raise InputError(f"{where} is masked: a number is needed here")
     if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
+        # A masked number becomes None.
+        value = value.tolist()
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{where} must be a number, not {shown(value)}")
     try:
@@ -198,22 +199,22 @@ def choice(value: object, options: Sequence[str], where: str) -> str:
     return value
 
 
-def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -> bool:
-    """Return whether the value is an array of floats that all pass `number`, and needs no check entry by entry."""
+def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -> Floats | None:
+    """Return a read-only copy of an array of floats that all pass `number`, and need no check entry by entry."""
     if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
-        return False
+        return None
     if value.dtype != np.float64 or value.ndim != axes or not value.size:
-        return False
+        return None
     known = value[~np.isnan(value)] if nan else value
-    if not np.isfinite(known).all() or np.any(known <= above) or np.any(known < least):
-        return False
     size = np.abs(known)
-    return not (np.any(size > LARGEST) or (above == 0.0 and np.any(size < SMALLEST)))
+    wrong = ~(size <= LARGEST) | (known <= above) | (known < least) | ((above == 0.0) & (size < SMALLEST))
+    return None if np.any(wrong) else frozen(value.copy(order="C"))
 
 
-def _items(value: object, where: str, what: str) -> list[object]:
+def items(value: object, where: str, what: str) -> list[object]:
+    """Check a list, a tuple or an array of anything."""
     if isinstance(value, np.ndarray):
-        value = list(value) if isinstance(value, np.ma.MaskedArray) else value.tolist()
+        value = value.tolist()
     if not isinstance(value, list | tuple):
         raise InputError(f"{where} must be a list of {what}, not {shown(value)}")
     return list(value)
@@ -233,22 +234,28 @@ def vector(
 
     `each` describes the entries in the message about a wrong `length`: ", one a mode".
     """
-    if isinstance(value, np.ndarray) and _clean(value, 1, above=above, least=least, nan=nan) and length in (
-        None, len(value),
-    ):  # fmt: skip
-        return frozen(value.copy())
-    items = _items(value, where, "numbers")
-    if not items:
-        raise InputError(f"{where} must not be empty")
-    if length is not None and len(items) != length:
-        raise InputError(f"{where} must have {entries(length)}{each}, not {len(items)}")
+    clean = _clean(value, 1, above=above, least=least, nan=nan)
+    if clean is not None and length in (None, len(clean)):
+        return clean
+    found = _list_of(value, where, "numbers", length, each)
 
     def checked(item: object, place: int) -> float:
-        if nan and (item is np.ma.masked or (isinstance(item, float) and math.isnan(item))):
+        # A masked entry is None.
+        if nan and (item is None or (isinstance(item, float) and math.isnan(item))):
             return math.nan
         return number(item, f"{where}, entry {place}", above=above, least=least)
 
-    return frozen(np.array([checked(item, place) for place, item in enumerate(items, 1)]))
+    return frozen(np.array([checked(item, place) for place, item in enumerate(found, 1)]))
+
+
+def _list_of(value: object, where: str, what: str, length: int | None, each: str) -> list[object]:
+    """Check a list that is not empty, of a length where that is known."""
+    found = items(value, where, what)
+    if not found:
+        raise InputError(f"{where} must not be empty")
+    if length is not None and len(found) != length:
+        raise InputError(f"{where} must have {entries(length)}{each}, not {len(found)}")
+    return found
 
 
 def entries(count: int) -> str:
@@ -279,44 +286,47 @@ def one_or_many(
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 
-def ascending_whole(value: object, where: str, *, most: int) -> Ints:
-    """Check a list of whole numbers from 1 to `most` that strictly ascend."""
-    items = _items(value, where, "whole numbers")
-    if not items:
-        raise InputError(f"{where} must not be empty")
-    result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(items, 1)]
+def ascending_whole(value: object, where: str, *, most: int, length: int | None = None, each: str = "") -> Ints:
+    """Check a list of whole numbers from 1 to `most` that strictly ascend; `length` and `each` as for `vector`."""
+    found = _list_of(value, where, "whole numbers", length, each)
+    result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(found, 1)]
     for before, after in pairwise(result):
         if after <= before:
             raise InputError(f"{where} must be ascending, none twice; found {after} after {before}")
     return frozen(np.array(result, dtype=np.int64))
 
 
-def table(value: object, where: str, *, rows: int, nan: bool = False, above: float = -math.inf) -> Floats:
+def table(
+    value: object, where: str, *, rows: int, columns: int | None = None, nan: bool = False, above: float = -math.inf
+) -> Floats:
     """Check a list of `rows` lists of numbers, all of one length; return a read-only array of shape (rows, columns)."""
-    if isinstance(value, np.ndarray) and _clean(value, 2, above=above, least=-math.inf, nan=nan) and len(value) == rows:
-        return frozen(value.copy(order="C"))
-    items = _items(value, where, "lists of numbers, one a mode")
-    if len(items) != rows:
-        lying = all(isinstance(item, list | tuple) and len(item) == rows for item in items)
-        hint = ": a row is a mode, not a floor" if items and lying else ""
+    clean = _clean(value, 2, above=above, least=-math.inf, nan=nan)
+    if clean is not None and len(clean) == rows and columns in (None, clean.shape[1]):
+        return clean
+    found = items(value, where, "lists of numbers, one a mode")
+    if len(found) != rows:
+        lying = all(isinstance(item, list | tuple) and len(item) == rows for item in found)
+        hint = ": a row is a mode, not a floor" if found and lying else ""
         needed = f"{rows} row{'s' * (rows != 1)}, one for each frequency"
-        raise InputError(f"{where} must have {needed}, not {len(items)}{hint}")
-    lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(items, 1)]
+        raise InputError(f"{where} must have {needed}, not {len(found)}{hint}")
+    lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(found, 1)]
     for place, line in enumerate(lines, 1):
         if len(line) != len(lines[0]):
             raise InputError(
                 f"{where}, row {place} has {entries(len(line))}, row 1 has {len(lines[0])}: give one a measured floor"
             )
+    if columns not in (None, len(lines[0])):
+        raise InputError(f"{where} has {entries(len(lines[0]))} a row, not {columns}")
     return frozen(np.array(lines))
 
 
 def pairs(value: object, where: str, *, length: int | None = None, above: float = -math.inf) -> Floats:
     """Check a list of pairs of numbers; return a read-only array of shape (length, 2)."""
-    items = _items(value, where, "pairs of numbers")
-    if not items or length not in (None, len(items)):
-        raise InputError(f"{where} must have {entries(length or 1)}, one a floor, not {len(items)}")
+    found = items(value, where, "pairs of numbers")
+    if not found or length not in (None, len(found)):
+        raise InputError(f"{where} must have {entries(length or 1)}, one a floor, not {len(found)}")
     return frozen(
-        np.array([vector(item, f"{where}, entry {at}", length=2, above=above) for at, item in enumerate(items, 1)])
+        np.array([vector(item, f"{where}, entry {at}", length=2, above=above) for at, item in enumerate(found, 1)])
     )
 
 

@@ -1,7 +1,5 @@
 """Decorators: a cached property without a lock, and NumPy's usual error handling."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar

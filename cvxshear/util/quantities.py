@@ -1,7 +1,5 @@
 """Write numbers and quantities for people."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

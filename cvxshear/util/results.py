@@ -1,6 +1,6 @@
 """Shared behavior of results: conversion to JSON, to measurement files and to pandas, and display at a prompt.
 
-Other modules register the functions that display a result, see `name_module`.
+Modules of higher layers display a result; `MODULES` names them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):
-        return _array_as_json(value)
+        return as_json(value.tolist())
     if hasattr(value, "to_dict"):
         return value.to_dict()
     if isinstance(value, Mapping):
@@ -49,19 +49,6 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     if dataclasses.is_dataclass(value):
         return fields_as_json(value)
     return str(value)
-
-
-def _array_as_json(values: Any) -> Any:
-    """Convert an array or a number of NumPy to lists or a number; nan and infinity become None."""
-    import numpy as np  # noqa: PLC0415 - help and completion do not need NumPy
-
-    if np.ndim(values) == 0:
-        return as_json(values.item())
-    if values.dtype.kind != "f" or np.isfinite(values).all():
-        return values.tolist()
-    found = values.astype(object)
-    found[~np.isfinite(values)] = None
-    return found.tolist()
 
 
 class InJson:
@@ -139,34 +126,22 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     return found
 
 
-#: Modules of higher layers by their task. `cvxshear/__init__.py` registers them, so no module imports upward.
-_modules: dict[str, str] = {}
-
-
-def name_module(task: str, module: str) -> None:
-    """Register the module for a task; its first use imports the module.
-
-    Parameters
-    ----------
-    task : str
-        "read" or "show". A module for "read" has `experiment_from_file`, which takes a path or the name of a built-in
-        example. A module for "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the
-        tables for a notebook, or None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the
-        first if the name is empty).
-    module : str
-    """
-    _modules[task] = module
+#: Modules of higher layers by their task; the first use imports one, so no module imports upward. That for "read" has
+#: `experiment_from_file`, which takes a path or the name of a built-in example; that for "solve" has `solve`. That for
+#: "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the tables for a notebook, or
+#: None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the first if the name is empty).
+MODULES = {"read": "cvxshear.io.modes", "show": "cvxshear.report.terminal", "solve": "cvxshear.backends.solvers"}
 
 
 def ask(task: str, function: str, *given: Any) -> Any:
-    """Call a function of the module that is registered for a task, and return its result.
+    """Call a function of the module for a task, and return its result.
 
     Parameters
     ----------
     task, function : str
     *given : object
     """
-    return getattr(importlib.import_module(_modules[task]), function)(*given)
+    return getattr(importlib.import_module(MODULES[task]), function)(*given)
 
 
 class Shown(InJson):

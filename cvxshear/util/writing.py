@@ -19,16 +19,14 @@ import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from types import NoneType
 
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import listed
 
 logger = logging.getLogger(__name__)
 
-#: Folder behind /dev/stdout and /dev/fd/3 under Linux. A file that is opened again there is overwritten from its
-#: start.
-OWN_DESCRIPTORS = "/proc/self/fd"
+#: Names of the open files of a process. A file that is opened again by such a name is overwritten from its start.
+DESCRIPTORS = {"/dev/stdout": 1, "/dev/stderr": 2}
 
 #: First characters of a formula in spreadsheet programs, including the full-width ones (OWASP, "CSV injection").
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
@@ -69,26 +67,19 @@ def shell_line(arguments: Iterable[str]) -> str:
     return shlex.join(map(printable, arguments))
 
 
+#: A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes.
+_NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,?\n)+)\s*\]")
+
+
+def rows_in_lines(text: str) -> str:
+    """Write each list of numbers of a JSON or TOML text in one line: a row of a shape is a line of the file."""
+    return _NUMBERS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", text)
+
+
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in one line; nan raises an error."""
-    mark, rows, marks = secrets.token_hex(8), list[str](), dict[int, str]()
-
-    def marked(item: object) -> object:
-        # json writes indented text in Python, number by number, and a row without line breaks in C.
-        if isinstance(item, dict):
-            return {key: marked(each) for key, each in item.items()}
-        if not isinstance(item, list | tuple):
-            return item
-        # A row that occurs several times is converted once: the conversion of numbers takes most of the time.
-        if id(item) not in marks:
-            if not item or not all(issubclass(kind, int | float | NoneType) for kind in set(map(type, item))):
-                return [marked(each) for each in item]
-            marks[id(item)] = f"{mark}{len(rows)}"
-            rows.append(json.dumps(item, allow_nan=False))
-        return marks[id(item)]
-
-    text = json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only)
-    return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], escaped(text, surrogates=True))
+    text = json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=ascii_only)
+    return escaped(rows_in_lines(text), surrogates=True)
 
 
 def write_file(path: PathLike, content: str | bytes) -> None:
@@ -141,10 +132,6 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
         _check_place(Path(path))
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"{path!r} cannot be the name of a file: {error}") from None
     wanted = tuple(endings)
     if wanted and Path(path).suffix.lower() not in wanted:
         raise InputError(f"{path} must end in {' or '.join(wanted)}")
@@ -153,17 +140,16 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
             raise InputError(f"{path} would be written over {each}, which it is made from; name another")
 
 
-def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: str | None = None) -> str:
+def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
     """Return the ending of a file's name, without its dot, after a check that this ending is allowed.
 
     Parameters
     ----------
     path : str or Path
+        The name of a device or a pipe needs no ending; the first of `endings` is returned then.
     endings : iterable of str
     what : str
-        Beginning of the message: "a model is written as".
-    device : str, optional
-        Ending for a device or a pipe: the name of a device has no ending. Default: the first of `endings`.
+        Beginning of the message: "a figure is written as".
 
     Raises
     ------
@@ -172,12 +158,12 @@ def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: st
     """
     known = list(endings)
     ending = Path(path).suffix.lower().removeprefix(".")
-    if ending not in known and _is_stream(path):
-        return known[0] if device is None else device
-    if ending not in known:
-        there = listed([f".{name}" for name in known], "or")
-        raise InputError(f"{path}: {what} {there}; give a name with one of these endings")
-    return ending
+    if ending in known:
+        return ending
+    if _is_stream(path):
+        return known[0]
+    there = listed([f".{name}" for name in known], "or")
+    raise InputError(f"{path}: {what} {there}; give a name with one of these endings")
 
 
 def same_file(one: PathLike, other: PathLike) -> bool:
@@ -188,8 +174,6 @@ def same_file(one: PathLike, other: PathLike) -> bool:
 
 
 def _check_place(path: Path) -> None:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        path.lstat()
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a file in it")
     if path.is_file() and not path.is_symlink() and not path.stat().st_mode & 0o222:
@@ -204,34 +188,13 @@ def _check_place(path: Path) -> None:
 
 def _is_stream(path: PathLike) -> bool:
     """Return whether the path is a device or a pipe, or leads to an open file of this process."""
-    if _descriptor(path) is not None:
-        return True
-    try:
-        mode = os.stat(path).st_mode
-    except (OSError, ValueError):
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-def _descriptor(path: PathLike) -> int | None:
-    """Find the number of the open file of this process behind a name like /dev/stdout."""
-    place = os.fspath(path)
-    own = os.path.realpath(OWN_DESCRIPTORS)
-    seen: set[str] = set()
-    with suppress(OSError, ValueError):
-        # A chain of links may be a circle.
-        while place not in seen:
-            seen.add(place)
-            folder, name = os.path.split(place)
-            if name.isdigit() and os.path.realpath(folder) == own:
-                return int(name)
-            place = os.path.join(folder, os.readlink(place))
-    return None
+    there = Path(path)
+    return str(path) in DESCRIPTORS or (there.exists() and not there.is_file() and not there.is_dir())
 
 
 def _write_through(path: PathLike, data: bytes) -> None:
-    number = _descriptor(path)
-    descriptor = os.dup(number) if number is not None else os.open(path, os.O_WRONLY)
+    number = DESCRIPTORS.get(str(path))
+    descriptor = os.open(path, os.O_WRONLY) if number is None else os.dup(number)
     with os.fdopen(descriptor, "wb") as file:
         file.write(data)
 

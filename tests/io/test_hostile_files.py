@@ -33,7 +33,7 @@ def test_flipped_bits_of_a_compressed_file_are_seen(tmp_path):
         try:
             np.testing.assert_array_equal(read_mat(path).values, expected)
         except InputError as error:
-            assert "is not a MAT file that can be read" in str(error) or "holds no numeric" in str(error)  # noqa: PT017
+            assert "cannot be read as a MAT file" in str(error) or "holds no numeric" in str(error)  # noqa: PT017
 
 
 def test_the_limit_is_raised_by_a_key_of_the_record(tmp_path):
@@ -82,7 +82,7 @@ HEADS = {
     "input_floor = [1]": "run 1: input_floor must be a whole number, not [1]",
     "time = ['t']": "record: time must be a text that is not empty, not ['t']",
     "stories = 'three'": "record: stories must be a whole number, not 'three'",
-    'file = "a\\u0000b.csv"': "cannot be the name of a file: embedded null byte",
+    'file = "a\\u0000b.csv"': "cannot be read: embedded null byte",
     "sampling_rate = [20]": "record: sampling_rate must be a number, not [20]",
     "size_limit = 'much'": "record: size_limit (MB) must be a number, not 'much'",
 }

@@ -65,13 +65,13 @@ def test_an_empty_cell_was_not_measured(tmp_path):
 @pytest.mark.parametrize(
     ("table", "said", "expected"),
     [
-        ("", "", r"modes\.csv holds no modes"),
+        ("", "", r"modes\.csv is empty; a table has a header"),
         ("frequency,floor 1\n2.9,x\n", "", "line 2: column \"floor 1\" holds 'x', which is not a number"),
         ("frequency,floor 1\n,1.0\n", "", 'line 2: column "frequency" is empty'),
         ("frequency,roof\n2.9,1.0\n", "", 'column "roof" is not one of a table of modes'),
-        ("frequency,floor 1,floor 1\n2.9,1,1\n", "", 'the column "floor 1" is there twice'),
+        ("frequency,floor 1,floor 1\n2.9,1,1\n", "", 'has two columns named "floor 1"'),
         ("mode,floor 1\n1,1.0\n", "", 'needs a column "frequency"'),
-        ("frequency,floor 1\n2.9,1.0,3.0\n", "", "line 2 has more cells than the header has columns, 2"),
+        ("frequency,floor 1\n2.9,1.0,3.0\n", "", "line 2 has 3 cells where the header names 2 columns"),
         (PLAIN, "frequencies = [1.0]", "csv and frequencies all say what the modes are; give one"),
         (PLAIN, 'uff = "a.uff"', "csv and uff all say what the modes are"),
         (None, "", r"modes\.csv: no such file"),

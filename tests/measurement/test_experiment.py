@@ -358,7 +358,7 @@ def test_the_classes_take_arrays():
         ({"frequencies": np.array(FREQUENCIES).astype(str)}, "frequencies, entry 1 must be a number, not '2.0'"),
         ({"mode_shapes": np.array(SHAPES) * (1 + 1j)}, "mode_shapes, row 1, entry 1 must be a number, not (0.4+0.4j)"),
         ({"modes": np.array([1.0, 2.0, 3.0])}, "modes, entry 1 must be a whole number, not 1.0"),
-        ({"mode_shape_std": np.ones((3, 2))}, "mode_shape_std has 2 entries a row, mode_shapes has 3"),
+        ({"mode_shape_std": np.ones((3, 2))}, "mode_shape_std has 2 entries a row, not 3"),
         ({"mass_normalized": np.array([True])}, "mass_normalized must be true or false, not [True]"),
     ],
 )

@@ -187,7 +187,7 @@ TESTS = [[3.25, 8.91], [3.26, 8.93], [3.24, 8.92]]
 
 COVARIANCES = [
     ([[1e-6]], "frequency_covariance must have 3 rows, one for each frequency, not 1"),
-    ([[1e-6, 0]] * 3, "frequency_covariance has 2 entries a row; it must be square, 3 by 3"),
+    ([[1e-6, 0]] * 3, "frequency_covariance has 2 entries a row, not 3"),
     (
         [[4e-6, 1e-6, 0], [0, 4e-6, 0], [0, 0, 4e-6]],
         "frequency_covariance must be symmetric: entry [i][j] equal to entry [j][i]",
@@ -196,7 +196,7 @@ COVARIANCES = [
 ]
 REPEATS = [
     ({"frequencies": TESTS[:1]}, "repeats: frequencies must have two tests at least"),
-    ({"frequencies": 3.0}, "repeats are lists with an item for each test, not 3.0"),
+    ({"frequencies": 3.0}, "frequencies must be a list of tests, not 3.0"),
     (
         {"frequencies": [[3.25, 8.9], [3.26, 8.9]]},
         "repeats: frequency 2 is the same in every test, so that its scatter is unknown: write more digits",
@@ -235,11 +235,14 @@ def test_the_message_says_what_to_change(keys, message):
     ("text", "message"),
     [
         ("frequency 1, speed\n1, 2\n", 'column "speed" is not one of repeated tests'),
-        ("frequency 1, frequency 1\n1, 2\n", 'the column "frequency 1" is there twice'),
+        ("frequency 1, frequency 1\n1, 2\n", 'has two columns named "frequency 1"'),
         ("shape 1 1, block\n1, 2\n", 'needs a column "frequency 1"'),
-        ("frequency 1, frequency 2\n1.0, 2.0\n1.1,\n", "line 3: frequency 2 is empty; leave the test out"),
+        (
+            "frequency 1, frequency 2\n1.0, 2.0\n1.1,\n",
+            'line 3: column "frequency 2" is empty; fill it in, or leave the line out',
+        ),
         ("frequency 1, frequency 2\n1.0, two\n", "column \"frequency 2\" holds 'two', which is not a number"),
-        ("", 'needs a column "frequency 1"'),
+        ("", "repeats.csv is empty; a table has a header"),
     ],
 )
 def test_the_message_names_the_place_in_the_file(tmp_path, text, message):

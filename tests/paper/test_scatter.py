@@ -7,8 +7,7 @@ import pytest
 
 from cvxshear import InputError, UnsuitableError, identify
 from cvxshear.paper import noise_study, paper_setups, six_story_study
-from cvxshear.paper.scatter import Scatter, one_shot_batch, two_stage_batch
-from cvxshear.paper.setups import Setup, six_story, three_story
+from cvxshear.paper.scatter import Scatter, Setup, one_shot_batch, six_story, three_story, two_stage_batch
 from cvxshear.report.terminal import text
 
 ALLOWED = 1.10

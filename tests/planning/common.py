@@ -4,8 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from cvxshear.planning.design import Design
-from cvxshear.planning.tested_model import Declared, TestModel
+from cvxshear.planning.design import Declared, Design, TestModel
 from tests.frames import modes_of
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)

@@ -122,7 +122,7 @@ def test_wrong_samples(tmp_path, good, change, more, expected):
     [
         (
             lambda lines: [*lines[:12], lines[12].rpartition(",")[0] + ",overload", *lines[13:]],
-            "test.csv, line 13: channel \"a3\" holds 'overload', which is not a number",
+            "test.csv, line 13: column \"a3\" holds 'overload', which is not a number",
         ),
         (lambda lines: [], "test.csv is empty"),
         (lambda lines: lines[:1], "has a header and no samples"),

@@ -75,7 +75,7 @@ def test_other_separators(tmp_path, values, separator, comma):
 def test_line_numbers_count_comments(tmp_path):
     rows = "\n".join("1,2" for _ in range(40))
     (tmp_path / "a.csv").write_text(f"# made by hand\n\na,b\n{rows}\n3,x\n")
-    with pytest.raises(InputError, match=r'line 44: channel "b" holds \'x\''):
+    with pytest.raises(InputError, match=r'line 44: column "b" holds \'x\''):
         read_csv(tmp_path / "a.csv")
 
 
@@ -183,7 +183,7 @@ def test_mat_version_7(tmp_path, values):
 
 def test_mat_that_is_none(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"nothing of the kind" * 20)
-    with pytest.raises(InputError, match="is not a MAT file"):
+    with pytest.raises(InputError, match="cannot be read as a MAT file"):
         read_mat(tmp_path / "a.mat")
 
 

@@ -219,7 +219,7 @@ def test_a_figure_shows_itself(paper):
     figure = paper.figure("mac")
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert paper.figure().axes[0].get_title(loc="left") == "every state"
-    with pytest.raises(InputError, match="there is no figure 'pie' of this result; there are findings, frame"):
+    with pytest.raises(InputError, match="there is no figure 'pie' here; there are findings, frame"):
         paper.figure("pie")
 
 

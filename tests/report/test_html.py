@@ -167,6 +167,14 @@ def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained)
     assert again.configurations[0].frequencies == pytest.approx(unexplained.experiment.configurations[0].frequencies)
 
 
+def test_what_was_not_measured_is_null_in_the_report(paper, comparison, drawn_once):
+    declared = paper.experiment.to_dict()
+    declared["configuration"][0]["damping_ratios"] = [0.01, np.nan]
+    tested = dataclasses.replace(paper, experiment=cvxshear.Experiment.from_dict(declared))
+    written = re.search(r'<pre id="measurement">(.*?)</pre>', render(tested, COMMAND, comparison), re.DOTALL)[1]
+    assert json.loads(html.unescape(written))["configuration"][0]["damping_ratios"] == [0.01, None]
+
+
 def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
     shown = notebook_html(paper)
     assert paper.effects[0].size.removesuffix(")") in html.unescape(shown)

@@ -129,7 +129,6 @@ def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
     _, name = terminal
     os.mkfifo(tmp_path / "pipe.png")
     assert ending_of(name, ("svg", "png"), "a figure is written as") == "svg"
-    assert ending_of(name, ("npz", "json"), "a model is written as", device="json") == "json"
     assert ending_of(tmp_path / "pipe.png", ("svg", "png"), "a figure is written as") == "png"
     with pytest.raises(InputError, match=r"a figure is written as \.svg or \.png"):
         ending_of(tmp_path / "none", ("svg", "png"), "a figure is written as")
@@ -144,7 +143,7 @@ def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
         assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc here")
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="no such name here")
 def test_an_open_file_of_the_process_is_written_on_from_where_it_stands(tmp_path):
     code = (
         "import sys; from cvxshear.util.writing import write_file; "
@@ -153,16 +152,12 @@ def test_an_open_file_of_the_process_is_written_on_from_where_it_stands(tmp_path
     with (tmp_path / "out").open("w") as out:
         subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
     assert content_of(tmp_path) == {"out": b"a\nb"}
-    (tmp_path / "circle").symlink_to(tmp_path / "circle")
-    write_file(tmp_path / "circle", "x")
-    assert (tmp_path / "circle").read_text() == "x"
 
 
 PLACES = {
     "nothing": ("", "the name of the file to write is empty"),
     "no such folder": ("none/a.json", "none/a.json cannot be written: there is no folder none"),
     "a file for a folder": ("file/a.json", "file/a.json cannot be written: there is no folder file"),
-    "no name at all": ("a\0b", "'a\\x00b' cannot be the name of a file: "),
     "too long a name": ("x" * 300, f"{'x' * 300} cannot be written: File name too long"),
     "read-only": ("frozen", "frozen is read-only; name another file, or make it writable"),
     "no folder to write in": ("/proc/a.json", "/proc/a.json cannot be written: "),
@@ -209,8 +204,7 @@ def test_no_other_module_writes():
                 or (name in WRITING and owner in {"os", "np", "io", "shutil", "json", "tempfile"})
             ):
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
-    # A closed standard stream is replaced by the null device.
-    own = {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
+    own = {("util/writing.py", "fdopen"), ("util/writing.py", "replace")}
     assert {each for each in found if each[0] != "report/responses.py"} == own
 
 

@@ -98,8 +98,7 @@ def _findings_caption(result: LoopResult) -> str:
     title="What was found, and where",
     caption=_findings_caption,
     section="verdict",
-    applies=lambda result: not result.experiment.frame.turns,
-    needs="one motion per floor",
+    **style.OF_ONE_MOTION,
 )
 def findings(result: LoopResult) -> Figure:
     """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
@@ -282,15 +281,7 @@ def _tie(axes: Axes, low: float, high: float, at: Columns, *, sure: bool) -> Non
 # The identified frame with its numbers.
 
 
-@style.figure(
-    "frame",
-    LoopResult,
-    Identification,
-    title="The identified frame",
-    section="frame",
-    applies=lambda result: not result.experiment.frame.turns,
-    needs="one motion per floor",
-)
+@style.figure("frame", LoopResult, Identification, title="The identified frame", section="frame", **style.OF_ONE_MOTION)
 def frame(result: LoopResult | Identification) -> Figure:
     """Frame to scale with its identified masses and stiffnesses; the numbers are in the table above.
 

@@ -125,14 +125,7 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 
 
-@style.figure(
-    "shapes",
-    LoopResult,
-    title="Mode shapes",
-    section="shapes",
-    applies=lambda result: not result.experiment.frame.turns,
-    needs="one motion per floor",
-)
+@style.figure("shapes", LoopResult, title="Mode shapes", section="shapes", **style.OF_ONE_MOTION)
 def shapes(result: LoopResult) -> Figure:
     """Measured mode shapes with error bars beside those of the shear model and of the final model.
 

@@ -28,6 +28,7 @@ from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 from matplotlib.ticker import AutoLocator, LogLocator
 
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
@@ -73,11 +74,6 @@ SETTINGS: dict[Any, Any] = dict(
 _SETTINGS_LOCK = RLock()
 
 
-def settings() -> dict[Any, Any]:
-    """Return the settings for drawing or writing a figure."""
-    return {**SETTINGS, "font.family": list(families())}
-
-
 @cache
 def families() -> tuple[str, ...]:
     """Find the installed fonts for figures, in order of preference."""
@@ -95,7 +91,7 @@ def house_settings() -> Iterator[None]:
     """Apply the house style to matplotlib, for one thread at a time; restore the user's settings at the end."""
     with _SETTINGS_LOCK, mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(settings())
+        mpl.rcParams.update(SETTINGS | {"font.family": list(families())})
         yield
 
 
@@ -302,6 +298,12 @@ class FigureEntry:
     needs: str
 
 
+#: Condition of the figures of frames with one motion per floor, and what they need.
+OF_ONE_MOTION: dict[str, Any] = {
+    "applies": lambda result: not result.experiment.frame.turns,
+    "needs": "one motion per floor",
+}
+
 #: Figures by the type of their result, in the order of a report.
 FIGURE_TABLE: dict[type, dict[str, FigureEntry]] = {}
 
@@ -365,6 +367,22 @@ def applicable(*results: Any) -> Iterator[FigureEntry]:
     return (entry for entry in figures_of(type(results[0])).values() if entry.applies(*results))
 
 
+def figure_named(name: str, result: type) -> FigureEntry:
+    """Find a figure of a type of result by its name; the first figure without a name.
+
+    Raises
+    ------
+    InputError
+        If there is no figure of that name.
+    """
+    known = figures_of(result)
+    name = name or next(iter(known), "")
+    if name not in known:
+        there = ", ".join(known) or "none"
+        raise InputError(f"there is no figure {name!r} here; there are {there}{checks.near(name, known)}")
+    return known[name]
+
+
 def drawn_figure(name: str, *results: Any) -> Figure:
     """Draw a figure by its name.
 
@@ -373,7 +391,4 @@ def drawn_figure(name: str, *results: Any) -> Figure:
     InputError
         If there is no figure of that name, or the results lack its data.
     """
-    known = figures_of(type(results[0]))
-    if name not in known:
-        raise InputError(f"there is no figure {name!r} of this result; there are {', '.join(known) or 'none'}")
-    return known[name].draw(*results)
+    return figure_named(name, type(results[0])).draw(*results)
