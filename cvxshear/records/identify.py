@@ -94,7 +94,8 @@ class ModeSearch:
         hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
         findings = placement.findings_of(hypotheses, record.channels, lowest[0])
         if findings and findings[0].numbers["corrected"]:
-            record = hypotheses[0].mended(record)
+            for item in hypotheses[0].mistakes:
+                record = item.mended(record)
             found = self.settled(record)
         return record, found, findings
 
