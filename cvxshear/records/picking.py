@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -156,8 +156,7 @@ class ModeChoice:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
             chosen = sorted(loudest, key=lambda item: item.frequency)
         else:
-            ranked = [_numbered(usable, shapes, self.count, whole=self.by_signs) for shapes in _real(usable)]
-            chosen = list(max(ranked, key=itemgetter(0))[1])
+            chosen = _numbered(usable, self.count, whole=self.by_signs)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -299,8 +298,8 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
 _Ranked = tuple[tuple[int, int, float, int], tuple[PoleCandidate, ...]]
 
 
-def _numbered(usable: list[PoleCandidate], shapes: Floats, count: int, *, whole: bool) -> _Ranked:
-    """Choose and number candidates of these real shapes, ascending; return how good that is with them.
+def _numbered(usable: list[PoleCandidate], count: int, *, whole: bool) -> list[PoleCandidate]:
+    """Choose and number candidates, ascending.
 
     At some of the floors mode r changes sign r - 1 times at most, at the whole of them just as often. A mode that the
     record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero can have either
@@ -309,7 +308,9 @@ def _numbered(usable: list[PoleCandidate], shapes: Floats, count: int, *, whole:
     """
     # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
     best: list[_Ranked] = [((0, 0, 0.0, 0), ())] * (count + 1)
-    for item, shape in zip(usable, shapes, strict=True):
+    for item in usable:
+        # Clocks that are right within half a sample turn no entry below half the sampling rate to the other side.
+        shape = real_shape(item.shape)
         (fewest, most), changes = possible_changes(shape, UNSURE), sign_changes(shape)
         energy = float(np.log(max(item.energy, 1e-300)))
         for number in range(min(count, most + 1) if whole else count, fewest, -1):
@@ -319,23 +320,7 @@ def _numbered(usable: list[PoleCandidate], shapes: Floats, count: int, *, whole:
                 best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
         for number in range(1, count + 1):
             best[number] = max(best[number], best[number - 1], key=itemgetter(0))
-    return best[count]
-
-
-def _real(items: list[PoleCandidate]) -> Iterator[Floats]:
-    """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
-
-    A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
-    """
-    yield _straight(items)
-    yield np.array([real_shape(item.shape) for item in items])
-
-
-def _straight(items: list[PoleCandidate]) -> Floats:
-    """Real shapes, the turns of clock offsets taken back first."""
-    found, seconds = Values.of(items), _clocks(items)
-    straight = found.shapes if seconds is None else clocks.undone(found.eigenvalues, found.shapes, seconds)
-    return np.array([real_shape(shape) for shape in straight])
+    return list(best[count][1])
 
 
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
@@ -353,7 +338,7 @@ def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     ][:count]
     if not loud:
         return np.zeros(0), np.zeros((0, 0))
-    return np.array([item.frequency for item in loud]), _straight(loud)
+    return np.array([item.frequency for item in loud]), np.array([real_shape(item.shape) for item in loud])
 
 
 class Parts:
