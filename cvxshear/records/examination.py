@@ -181,6 +181,8 @@ STUCK = 0.5
 STUCK_SHARE = 0.02
 #: Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too.
 SPIKE_DEVIATIONS = 10.0
+#: Times the root mean square of the samples around it that a spike differs from what the model makes of them.
+OUT_OF_MOTION = 2.0
 #: Coefficients of the model for spikes: two for each mode of a dozen stories.
 AR_ORDER = 24
 
@@ -218,31 +220,53 @@ def channels_mended(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[
 def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     """Find samples that differ from their neighbors in one channel alone, and the responses without them.
 
-    With the coefficients a of an autoregressive model, a spike of size s adds s a_k to the errors of the next samples,
-    and motion that begins adds to one error alone: an additive and an innovational outlier (Fox 1972, "Outliers in time
-    series", J. R. Stat. Soc. B 34). A spike explains more of the errors in its reach than any one of these, and more
-    than it leaves.
+    With the coefficients a of an autoregressive model, the difference of a sample from what all others make of it is
+    (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
     # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
     while True:
-        sizes, ratio, near = np.zeros((3, *responses.shape))
+        off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
-                sizes[:, column], ratio[:, column], explains = _additive_outliers(values - values.mean())
-                near[:, column] = scipy.ndimage.maximum_filter1d(ratio[:, column], 5)
-                ratio[~explains, column] = 0.0
+                off[:, column] = _interpolation_errors(values - values.mean())
+                scale[:, column] = _local_scale(off[:, column])
+        # Under strong motion a model of the whole record has larger errors; a spike exceeds the local and the overall
+        # errors.
+        loud = np.sqrt(scipy.ndimage.uniform_filter1d((cleaned - cleaned.mean(axis=0)) ** 2, 2 * AR_ORDER + 1, axis=0))
+        ratio = np.where(np.abs(off) > OUT_OF_MOTION * loud, np.abs(off) / scale, 0.0)
+        near = scipy.ndimage.maximum_filter1d(ratio, 5, axis=0)
         now = (ratio > SPIKE_DEVIATIONS) & (ratio >= scipy.ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
         for hit in np.flatnonzero(now.any(axis=0)).tolist():
-            now[:, hit] &= np.delete(near, hit, axis=1).max(axis=1, initial=0.0) < SPIKE_DEVIATIONS / 2
+            others = np.delete(near, hit, axis=1)
+            if others.shape[1]:
+                now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
+        for place, hit in np.argwhere(now).tolist():
+            now[place, hit] = not _begins(cleaned, place, hit)
         if not np.any(now & ~found):
             return found, cleaned
         found |= now
-        cleaned[now] -= sizes[now]
+        cleaned[now] -= off[now]
 
 
-def _additive_outliers(values: Floats) -> tuple[Floats, Floats, Bools]:
-    """Size of a spike at each sample, in m/s2 and in standard deviations, and whether it explains the errors there."""
+def _begins(values: Floats, place: int, hit: int) -> bool:
+    """Whether motion of a channel begins at a sample and goes on as strongly, or begins in all within reach of it."""
+    # The model looks ahead: its errors begin before the first sample that moves. A knock on the sensor's own
+    # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
+    before = np.abs(values[max(0, place - 2 - AR_ORDER) : max(0, place - 2)])
+    after = np.abs(values[place + 3 : place + 2 * AR_ORDER + 1])
+    if not len(before) or not len(after):
+        return True
+    loud = np.quantile(after, 0.75, axis=0)
+    rises = loud[hit] > 3.0 * np.quantile(before[:, hit], 0.75)
+    # The model looks back: a release affects its errors at later samples.
+    quiet = np.abs(values[max(0, place - 2 * AR_ORDER) : max(1, place - AR_ORDER)])
+    released = values.shape[1] > 1 and bool(np.all(loud > 3.0 * np.quantile(quiet, 0.75, axis=0)))
+    return released or bool(rises and abs(values[place, hit]) < 4.0 * after[:, hit].max())
+
+
+def _interpolation_errors(values: Floats) -> Floats:
+    """Each sample less what an autoregressive model makes of those around it; nought at the ends."""
     order = min(AR_ORDER, len(values) // 8)
     # Samples are cut off where the model is fitted, lest spikes make it.
     limit = SPIKE_DEVIATIONS * np.minimum(_local_scale(values), 1e300)
@@ -250,17 +274,9 @@ def _additive_outliers(values: Floats) -> tuple[Floats, Floats, Bools]:
     covariances = np.fft.irfft(spectrum)[: order + 1]
     covariances[0] *= 1.0 + 1e-6
     model = np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariances[:-1], covariances[1:])])
-    errors = np.convolve(values, model)[: len(values)]
-    errors[:order] = 0.0
-    ahead = np.concatenate([errors, np.zeros(order)])
-    windows = np.lib.stride_tricks.sliding_window_view(ahead, order + 1)
-    power = float(model @ model)
-    sizes = windows @ model / power
-    sizes[:order] = sizes[-order:] = 0.0
-    squares = windows**2
-    explained = sizes**2 * power
-    explains = (2.0 * explained > squares.sum(axis=1)) & (explained > squares.max(axis=1))
-    return sizes, np.sqrt(power) * np.abs(sizes) / _local_scale(errors), explains
+    errors = np.convolve(values, np.convolve(model, model[::-1]), mode="same") / (model @ model)
+    errors[:order] = errors[-order:] = 0.0
+    return np.asarray(errors)
 
 
 def _local_scale(errors: Floats) -> Floats:
