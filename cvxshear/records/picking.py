@@ -293,8 +293,8 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
     return sorted(chosen, key=lambda item: item.frequency)
 
 
-#: A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies, and
-#: how low the highest number is.
+#: A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies or
+#: their sum, and how low the highest number is.
 _Ranked = tuple[tuple[int, int, float, int], tuple[PoleCandidate, ...]]
 
 
@@ -303,8 +303,8 @@ def _numbered(usable: list[PoleCandidate], count: int, *, whole: bool) -> list[P
 
     At some of the floors mode r changes sign r - 1 times at most, at the whole of them just as often. A mode that the
     record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero can have either
-    sign: the most modes come first, then those whose signs fit as they stand, then the largest product of energies,
-    then the lowest numbers.
+    sign. At the whole of the floors the most modes come first, then those whose signs fit as they stand, then the
+    largest product of energies; at some of them the most energy comes first. The lowest numbers come last.
     """
     # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
     best: list[_Ranked] = [((0, 0, 0.0, 0), ())] * (count + 1)
@@ -312,10 +312,10 @@ def _numbered(usable: list[PoleCandidate], count: int, *, whole: bool) -> list[P
         # Clocks that are right within half a sample turn no entry below half the sampling rate to the other side.
         shape = real_shape(item.shape)
         (fewest, most), changes = possible_changes(shape, UNSURE), sign_changes(shape)
-        energy = float(np.log(max(item.energy, 1e-300)))
+        worth = float(np.log(max(item.energy, 1e-300))) if whole else item.energy
         for number in range(min(count, most + 1) if whole else count, fewest, -1):
-            (modes, fits, product, _), chosen = best[number - 1]
-            rank = (modes + 1, fits + (whole and changes == number - 1), product + energy, -number)
+            (modes, fits, worths, _), chosen = best[number - 1]
+            rank = (modes + whole, fits + (whole and changes == number - 1), worths + worth, -number)
             if rank > best[number][0]:
                 best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
         for number in range(1, count + 1):
