@@ -479,6 +479,8 @@ LONGEST = 0.05
 STEPS = 4001
 #: Degrees, root mean square over the modes: uneven damping turns the entries of lightly damped modes by as much.
 LEAST_PHASE = 0.3
+#: Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances.
+FOLDED = 0.85
 
 
 def folded_phase(values: Complexes) -> Floats:
@@ -513,7 +515,12 @@ class Offsets:
 
 
 def offsets(
-    eigenvalues: Complexes, shapes: Complexes, participations: Complexes | None = None, reference: int | None = None
+    eigenvalues: Complexes,
+    shapes: Complexes,
+    participations: Complexes | None = None,
+    reference: int | None = None,
+    sampling_rate: float = np.inf,
+    loud: Bools | None = None,
 ) -> Offsets:
     """Estimate the offset of every channel's clock.
 
@@ -527,12 +534,22 @@ def offsets(
         clock is then estimated as well.
     reference : int, optional
         The clock to count from; the one nearest to all the others where None.
+    sampling_rate : float, optional
+        Hz. Modes above `FOLDED` of its half do not count, where two others are left.
+    loud : array of bool, shape (modes,), optional
+        The modes that count, where they are two at least: a straight line takes each for as sure as the others.
 
     Returns
     -------
     Offsets
     """
     omega = np.abs(eigenvalues.imag)
+    used = np.ones(len(omega), dtype=bool)
+    for heard in (omega <= FOLDED * np.pi * sampling_rate, used if loud is None else loud):
+        if np.count_nonzero(used & heard) >= 2:
+            used = used & heard
+    omega, shapes = omega[used], shapes[used]
+    participations = None if participations is None else participations[used]
     if participations is not None:
         phasors = shapes * participations[:, None]
     else:

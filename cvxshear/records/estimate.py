@@ -99,6 +99,12 @@ class Replication:
         """The data."""
         return self.parts.source
 
+    @property
+    def loud(self) -> Bools:
+        """Modes with enough energy to determine clocks by their phases, shape (m,)."""
+        energy = np.array([item.energy for item in self.sweep.chosen])
+        return np.asarray(energy > picking.FAINT * energy.max())
+
     def values(self, keep: Bools | None) -> picking.Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""
         return self.parts.values(self.sweep.chosen, keep)
@@ -145,8 +151,8 @@ def details(
     """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else frf.participations(products, values.shapes)
-    right = None if reference is None else reference.clocks.reference
-    late = offsets(values.eigenvalues, values.shapes, turned, right)
+    right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
+    late = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     if setting.record.turns:
         # Modes in x alone and in y alone link no clocks; the whole band has set them right before.
         none = 0.0 * late.seconds

@@ -100,6 +100,20 @@ def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
     np.testing.assert_allclose(told.unexplained, 0.0, atol=1e-6)
 
 
+def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
+    """Only this mode has phase errors, of up to 15 degrees."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0]) - 0.1
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
+    late = np.array([0.004, 0.0, -0.002])
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late)
+    turned[2] *= np.exp(1j * np.radians([15.0, 0.0, -8.0]))
+    np.testing.assert_allclose(offsets(eigenvalues, turned, sampling_rate=20.0).seconds, late, atol=1e-9)
+    assert np.max(np.abs(offsets(eigenvalues, turned, sampling_rate=40.0).seconds - late)) > 1e-3
+    # An offset needs at least two modes.
+    pair = offsets(eigenvalues[1:], turned[1:], sampling_rate=20.0)
+    np.testing.assert_array_equal(pair.seconds, offsets(eigenvalues[1:], turned[1:]).seconds)
+
+
 def test_shift_is_exact_for_a_slow_sine(record):
     time = np.arange(1000) / 20.0
     wave = np.column_stack([np.sin(2 * np.pi * 1.3 * time)] * 3)
