@@ -89,11 +89,6 @@ def modal_findings(
     yield from reciprocity_findings(full, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
-    if setting.base and full.products is not None and len(record.channels) > 1:
-        # The modes' shares of the base motion make up 1 at each floor. Of one floor alone its sensor may be reversed.
-        shares_of_base = full.products.real.sum(axis=(0, 2))
-        if np.all(shares_of_base < 0):
-            yield finding("sign/input", {"channel": "input", "corrected": True})
     yield from _first_mode_findings(record, result)
     yield from _mode_findings(record, result, setting)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]

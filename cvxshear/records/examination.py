@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import scipy
 
-from cvxshear.records import clocks, prepare
+from cvxshear.records import clocks, placement, prepare
 from cvxshear.records.data_frames import stretches
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.util import quantities
@@ -383,4 +383,7 @@ def examined(record: Record) -> Examined:
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)
     findings += [*of_directions, *of_floors]
+    if steady.input == "base":
+        steady, of_signs = placement.with_the_base(steady)
+        findings += of_signs
     return Examined(steady, tuple(findings), share)

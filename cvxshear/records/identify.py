@@ -94,8 +94,7 @@ class ModeSearch:
         hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
         findings = placement.findings_of(hypotheses, record.channels, lowest[0])
         if findings and findings[0].numbers["corrected"]:
-            for item in hypotheses[0].mistakes:
-                record = item.mended(record)
+            record = hypotheses[0].mended(record)
             found = self.settled(record)
         return record, found, findings
 
