@@ -125,11 +125,11 @@ def along(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
 
 
 def _rotation(record: Record, group: Ints) -> Finding:
+    """Report the rotation that several sensors on one floor show; raise InputError where they contradict each other."""
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
-    count, center, turned = len(group), 0.0, 0.0
-    common = np.zeros((count, count))
+    center, turned, common = 0.0, 0.0, np.zeros((len(group), len(group)))
     for run in record.runs:
         values = moving = run.responses[:, group]
         if isinstance(run, Run):
@@ -141,32 +141,33 @@ def _rotation(record: Record, group: Ints) -> Finding:
         middle = values @ weights
         center += float(np.mean(np.abs(middle) ** 2))
         turned += float(np.sum(np.abs(values - middle[:, None]) ** 2)) / len(values)
-    shown, together = np.diag(common), float(common.mean())
-    against = float(np.trace(common)) - count * together
-    what = "what moves with the other floors is" if len(others) else "the motion is"
-    least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
-    ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
-    if ratio > CONTRADICTING:
-        raise InputError(
-            f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
-            f"first; is one of them in another unit (g is {quantities.STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
-        )
-    if against > CONTRADICTING * together:
-        raise InputError(
-            f"{' and '.join(map(str, names))} are on one floor and contradict each other: {what} "
-            f"{np.sqrt(against / max(together, 1e-300)):.1f} times as large in their difference as in their mean; is "
-            "one of them reversed, or on another floor?"
-        )
+    _refuse_contradictions(names, common, "what moves with the other floors is" if len(others) else "the motion is")
     share = float(turned / max(center + turned, 1e-300))
     said = "the floor turns as well" if share > ROTATES else "the floor hardly turns"
-    how = (
-        "by their positions they give its center's motion"
-        if placed
-        else "their mean is its motion, and its entries as uncertain as its center is between them"
-    )
+    how = "their mean is its motion, and its entries as uncertain as its center is between them"
+    if placed:
+        how = "by their positions they give its center's motion"
     called = [item.name for item in names]
     numbers = {"floor": names[0].floor, "channels": called, "share": share, "placed": placed}
-    return finding("rotation/sensors", numbers, count=count, names=", ".join(called), how=how, said=said)
+    return finding("rotation/sensors", numbers, count=len(called), names=", ".join(called), how=how, said=said)
+
+
+def _refuse_contradictions(names: Sequence[Channel], common: Floats, what: str) -> None:
+    """Raise InputError where sensors on one floor cannot all be right, by the products of their motions."""
+    shown, together = np.diag(common), float(common.mean())
+    ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
+    against = float(np.trace(common)) - len(names) * together
+    if ratio > CONTRADICTING:
+        most, least = names[int(np.argmax(shown))], names[int(np.argmin(shown))]
+        how = (
+            f"{ratio:.1f} times as large in {most} as in {least}; is one of them in another unit, or is its cable cut?"
+        )
+    elif against > CONTRADICTING * together:
+        times = np.sqrt(against / max(together, 1e-300))
+        how = f"{times:.1f} times as large in their difference as in their mean; is one reversed, or on another floor?"
+    else:
+        return
+    raise InputError(f"{' and '.join(map(str, names))} are on one floor and contradict each other: {what} {how}")
 
 
 #: Share of the median channel's standard deviation; a channel below it measures nothing.

@@ -58,7 +58,7 @@ class ModeSearch:
         """Bring a record into the method's form and sweep the orders."""
         source = prepare.source_of(record, self.method, blocks=self.blocks)
         by_signs = None if record.turns else len(record.channels) == record.stories > 1
-        choose = picking.ModeChoice(self.wanted(record), record.stories, by_signs, self.picked)
+        choose = picking.ModeChoice(self.wanted(record), by_signs, self.picked)
         return source, picking.sweep_orders(
             source, self.criteria, choose, band=record.band, shift=record.window_decay, turning=self.turning
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -135,19 +135,15 @@ class ModeChoice:
     ----------
     count : int
         Most modes to choose.
-    stories : int
-        Stories of the frame; the frame has one mode for each story.
-    by_signs : bool, optional
-        Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
-        when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
-        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow; None
-        numbers them 1, 2, ..., for floors that turn.
+    by_signs : bool or None
+        Whether every floor is measured. Mode r of a shear frame then has r - 1 changes of sign (its stiffness matrix is
+        a Jacobi matrix: Gantmacher and Krein 1950), and otherwise that many at most. None, for floors that turn, takes
+        the modes of most energy as 1, 2, ....
     picked : tuple of float
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
     """
 
     count: int
-    stories: int
     by_signs: bool | None
     picked: tuple[float, ...] = ()
 
@@ -156,13 +152,11 @@ class ModeChoice:
         if self.picked:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
         usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
-        if self.by_signs:
-            chosen = _by_signs(usable, self.count)
-        else:
+        if self.by_signs is None:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
             chosen = sorted(loudest, key=lambda item: item.frequency)
-            if self.by_signs is not None:
-                chosen = _as_low(chosen, self.stories)
+        else:
+            chosen = _numbered(usable, self.count, whole=self.by_signs)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -299,76 +293,34 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
     return sorted(chosen, key=lambda item: item.frequency)
 
 
-def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
-    """Choose candidates, one for each number of sign changes at most, ascending, and number them.
+#: A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies or
+#: their sum, and how low the highest number is.
+_Ranked = tuple[tuple[int, int, float, int], tuple[PoleCandidate, ...]]
 
-    A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
-    can have either sign: the most modes come first, then those whose signs fit as they stand, then the largest product
-    of energies.
+
+def _numbered(usable: list[PoleCandidate], count: int, *, whole: bool) -> list[PoleCandidate]:
+    """Choose and number candidates, ascending.
+
+    At some of the floors mode r changes sign r - 1 times at most, at the whole of them just as often. A mode that the
+    record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero can have either
+    sign. At the whole of the floors the most modes come first, then those whose signs fit as they stand, then the
+    largest product of energies; at some of them the most energy comes first. The lowest numbers come last.
     """
-    if not usable:
-        return []
-    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable)]
-    return list(max(ranked, key=itemgetter(0))[1])
-
-
-#: A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies.
-_Ranked = tuple[tuple[int, int, float], tuple[PoleCandidate, ...]]
-
-
-def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) -> _Ranked:
-    """Choose and number candidates of these real shapes; return how good that is with them."""
     # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
-    best: list[_Ranked] = [((0, 0, 0.0), ())] * (count + 1)
-    for item, shape in zip(usable, shapes, strict=True):
+    best: list[_Ranked] = [((0, 0, 0.0, 0), ())] * (count + 1)
+    for item in usable:
+        # Clocks that are right within half a sample turn no entry below half the sampling rate to the other side.
+        shape = real_shape(item.shape)
         (fewest, most), changes = possible_changes(shape, UNSURE), sign_changes(shape)
-        energy = float(np.log(max(item.energy, 1e-300)))
-        for number in range(min(count, most + 1), fewest, -1):
-            (modes, fits, product), chosen = best[number - 1]
-            rank = (modes + 1, fits + (changes == number - 1), product + energy)
+        worth = float(np.log(max(item.energy, 1e-300))) if whole else item.energy
+        for number in range(min(count, most + 1) if whole else count, fewest, -1):
+            (modes, fits, worths, _), chosen = best[number - 1]
+            rank = (modes + whole, fits + (whole and changes == number - 1), worths + worth, -number)
             if rank > best[number][0]:
                 best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
         for number in range(1, count + 1):
             best[number] = max(best[number], best[number - 1], key=itemgetter(0))
-    return best[count]
-
-
-def _as_low(chosen: list[PoleCandidate], stories: int) -> list[PoleCandidate]:
-    """Give the candidates the lowest numbers that they can have where some floors are not measured.
-
-    At some of the floors mode r changes sign r - 1 times at most. If this needs more modes than the frame has, the
-    weakest candidates are left out.
-    """
-    while chosen:
-        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen)), key=lambda each: each[-1])
-        if numbered[-1] <= stories:
-            return [dataclasses.replace(item, number=each) for item, each in zip(chosen, numbered, strict=True)]
-        weakest = min(chosen, key=lambda item: item.energy)
-        chosen = [item for item in chosen if item is not weakest]
-    return []
-
-
-def _lowest_numbers(shapes: Floats) -> Iterator[int]:
-    number = 0
-    for shape in shapes:
-        number = max(number, possible_changes(shape, UNSURE)[0]) + 1
-        yield number
-
-
-def _real(items: list[PoleCandidate]) -> Iterator[Floats]:
-    """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
-
-    A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
-    """
-    yield _straight(items)
-    yield np.array([real_shape(item.shape) for item in items])
-
-
-def _straight(items: list[PoleCandidate]) -> Floats:
-    """Real shapes, the turns of clock offsets taken back first."""
-    found, seconds = Values.of(items), _clocks(items)
-    straight = found.shapes if seconds is None else clocks.undone(found.eigenvalues, found.shapes, seconds)
-    return np.array([real_shape(shape) for shape in straight])
+    return list(best[count][1])
 
 
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
@@ -386,7 +338,7 @@ def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     ][:count]
     if not loud:
         return np.zeros(0), np.zeros((0, 0))
-    return np.array([item.frequency for item in loud]), _straight(loud)
+    return np.array([item.frequency for item in loud]), np.array([real_shape(item.shape) for item in loud])
 
 
 class Parts:

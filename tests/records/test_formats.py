@@ -79,10 +79,22 @@ def test_line_numbers_count_comments(tmp_path):
         read_csv(tmp_path / "a.csv")
 
 
-def test_no_header(tmp_path):
-    (tmp_path / "a.csv").write_text("1,2\n3,4\n")
-    with pytest.raises(InputError, match="line 1: the first line must name the columns"):
-        read_csv(tmp_path / "a.csv")
+@pytest.mark.parametrize(
+    ("read", "name", "content", "said"),
+    [
+        (read_csv, "a.csv", b"1,2\n3,4\n", "line 1: the first line must name the columns"),
+        (read_mat, "a.mat", b"nothing of the kind" * 20, "is not a MAT file"),
+        (read_uff, "a.uff", b"nothing\n", r"a\.uff"),
+        (read_uff, "b.uff", None, "no such file"),
+    ],
+)
+def test_a_file_that_is_none_of_its_kind(tmp_path, read, name, content, said):
+    if read is read_uff:
+        pytest.importorskip("pyuff")
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        read(tmp_path / name)
 
 
 def test_mat_version_5(tmp_path, values):
@@ -181,12 +193,6 @@ def test_mat_version_7(tmp_path, values):
     assert {"h_re", "h_im"} <= set(read_mat(tmp_path / "a.mat").names)
 
 
-def test_mat_that_is_none(tmp_path):
-    (tmp_path / "a.mat").write_bytes(b"nothing of the kind" * 20)
-    with pytest.raises(InputError, match="cannot be read as a MAT file"):
-        read_mat(tmp_path / "a.mat")
-
-
 def test_universal_file(tmp_path, values):
     columns = dict(zip([(9, 1), (1, 1), (2, -1)], values.T[1:], strict=True))
     write_universal(tmp_path / "a.uff", columns, 0.02)
@@ -200,15 +206,6 @@ def test_universal_file_of_one_set(tmp_path, values):
     path = tmp_path / "record.toml"
     path.write_text('[record]\nfile = "a.uff"\n[[channel]]\ncolumn = "1x"\nfloor = 1\n')
     np.testing.assert_allclose(read_record(path).record.runs[0].responses[:, 0], values[:, 2], rtol=1e-5)
-
-
-def test_what_is_no_universal_file(tmp_path):
-    pytest.importorskip("pyuff")
-    (tmp_path / "a.uff").write_text("nothing\n")
-    with pytest.raises(InputError, match=r"a\.uff"):
-        read_uff(tmp_path / "a.uff")
-    with pytest.raises(InputError, match="no such file"):
-        read_uff(tmp_path / "b.uff")
 
 
 def test_measurement_file_says_what_was_given(tmp_path):
