@@ -83,7 +83,7 @@ def test_line_numbers_count_comments(tmp_path):
     ("read", "name", "content", "said"),
     [
         (read_csv, "a.csv", b"1,2\n3,4\n", "line 1: the first line must name the columns"),
-        (read_mat, "a.mat", b"nothing of the kind" * 20, "is not a MAT file"),
+        (read_mat, "a.mat", b"nothing of the kind" * 20, "cannot be read as a MAT file"),
         (read_uff, "a.uff", b"nothing\n", r"a\.uff"),
         (read_uff, "b.uff", None, "no such file"),
     ],
