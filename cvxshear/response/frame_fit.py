@@ -309,8 +309,10 @@ def fit_frame(
 def _nearer(
     errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
 ) -> Floats:
-    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
+    """Return the most probable frame of a linearized likelihood, with the noise of p; p if it has no modes."""
     nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    # The likelihood is linear in the levels of the noise over much smaller steps.
+    nearer[errors.levels] = p[errors.levels]
     try:
         errors.model(nearer)
     except NoModesError:

@@ -25,6 +25,7 @@ from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.response.state_space import ROUNDING
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Bools, Floats
 
 RecordSource = str | Path | TimeRecord | DrivenRecord
@@ -42,10 +43,6 @@ BLOCK_PERIODS = 4.0
 #: Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
 #: deviations, doubled because a line is largest at its ends.
 BY_CHANCE = 4.0
-
-#: Least delay that is removed, in samples. A damper in one story turns the phases of the modes, too, by up to a sample
-#: in frames with 3 % of damping from it. The fit of the frame weighs shorter delays together with dampers.
-LEAST_DELAY = 2.0
 
 
 def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
@@ -191,7 +188,9 @@ def corrected(
             factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
         elif finding.kind == "swapped channels" and numbers["corrected"]:
             floors[columns] = np.unique(record.floors[columns]).sum() - record.floors[columns]
-        elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < LEAST_DELAY:
+        elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < NORMAL_95:
+            # A damper turns the phases of the modes, too. The fit of the frame weighs both; its delays have a standard
+            # deviation of one sample.
             continue
         elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
             late[columns] += numbers["seconds"], numbers.get("drift", 0.0)

@@ -15,7 +15,7 @@ from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
 from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
-from cvxshear.records.motion import DrivenRecord
+from cvxshear.records.motion import DrivenRecord, trend
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
@@ -261,11 +261,13 @@ WORTH_A_WORD = 0.01
 def line_remarks(before: DrivenRecord, after: DrivenRecord) -> list[str]:
     """Report the largest straight line that was removed as a fault of its sensor, if it is large enough."""
     names = [f"the {DRIVING[before.input]}", *(f"floor {floor}" for floor in before.floors)]
-    lines = np.max(np.nan_to_num(np.abs(before.columns() - after.columns())), axis=0) / np.maximum(after.rms(), 1e-300)
-    if np.max(lines) < WORTH_A_WORD:
+    # A delay that was removed is no line.
+    lines = [trend(one.columns - other.columns) for one, other in zip(before.runs, after.runs, strict=True)]
+    sizes = np.max(np.abs(np.concatenate(lines)), axis=0) / np.maximum(after.rms(), 1e-300)
+    if np.max(sizes) < WORTH_A_WORD:
         return []
     return [
-        f"a straight line of up to {percent(float(np.max(lines)), 1)} of the rms ({names[int(np.argmax(lines))]}) was "
+        f"a straight line of up to {percent(float(np.max(sizes)), 1)} of the rms ({names[int(np.argmax(sizes))]}) was "
         "taken for its sensor's and off; --no-detrend leaves it in"
     ]
 

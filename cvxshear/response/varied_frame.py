@@ -158,9 +158,10 @@ class VariedFrame:
         own = np.exp(unknowns[:N])
         nuisance, missed = np.split(unknowns[N + D :], [W])
         tested = 1.0 + self._tested_shares @ nuisance
-        heavier, forms = 1.0 + self._heavier @ nuisance, self._shares(self.form)
+        heavier, common = 1.0 + self._heavier @ nuisance, np.exp(np.mean(unknowns[:N]))
+        forms = common * self._shares(self.form)
         J = np.zeros((N, N + D + W + X))
-        J[:, :N] = np.diag(tested * own)
+        J[:, :N] = np.diag(tested * own) + heavier * (forms @ missed)[:, None] / N
         J[:, N + D : N + D + W] = own[:, None] * self._tested_shares + np.outer(forms @ missed, self._heavier)
         J[:, N + D + W :] = heavier * forms
         return tested * own + heavier * (forms @ missed), J
@@ -220,7 +221,8 @@ class VariedFrame:
             (factors @ each.reshape(len(each), old.M.size)).reshape(old.M.shape)
             for factors, each in ((nuisance, self.dM), (nuisance, self.dK), (missed, self.form))
         )
-        M, K = old.M + dM, old.K + dK + heavier * form
+        # A frame that is softer as a whole has a softer form, too.
+        M, K = old.M + dM, old.K + dK + heavier * np.exp(np.mean(stiffness)) * form
         tested = self.story_stiffness * (1.0 + self._tested_shares @ nuisance)
         K = K + stiffness_matrix(tested * np.expm1(stiffness))
         damping, dashpots = np.split(damping, [len(self.own_std)])
