@@ -451,29 +451,18 @@ def checked(
     stretches = [each for each in stretches if each.channels.any()]
     errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
     again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)
-    directions, noise = other.directions(again), errors.noise_at(again.p)
-    outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1
-    gain = float(fitted.model.gain[place])
-    row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
-    sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
-    left, stated, measured, alone = [], [], [], []
-    found = other.smoothed(errors, again.p, row[None, :])
-    for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
-        of_frame = other.frame_variance(directions, noise, run, each)[:, place]
-        variance = each.output_std[:, 0] ** 2 + sigma**2 + gain**2 * of_frame
-        there = smoothed[number].weights[part, channel] == 1.0
-        seen = work.recording.runs[number].measured[part, channel]
-        left.append((each.states @ row + direct * run.excitation - seen)[there])
-        stated.append(variance[there])
-        measured.append(seen[there])
-        alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
-    error, variances = np.concatenate(left), np.concatenate(stated)
-    return SensorCheck(
-        place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
-        rms(np.concatenate(alone)),
-        float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
-    )  # fmt: skip
+    gain, sigma = fitted.model.gain[place], fitted.errors.noise_at(fitted.p).sensors[channel]
+    rows = []
+    runs = zip(other.runs(again, 1.0), work.recording.runs, smoothed, predicted, parts, strict=True)
+    for found, run, own, motion, part in runs:
+        seen, std = run.measured[part, channel], found.std["floor_acceleration"][:, place]
+        moved, alone = found.response.acceleration[:, place], motion.acceleration[part, place]
+        columns = np.column_stack([gain * moved - seen, (gain * std) ** 2 + sigma**2, seen, gain * alone - seen])
+        rows.append(columns[own.weights[part, channel] == 1.0])
+    error, variance, measured, alone = np.concatenate(rows).T
+    within = float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variance)))
+    return SensorCheck(place + 1, rms(error), float(np.sqrt(np.mean(variance))), rms(measured), rms(alone), within)
 
 
 def widening(checks: Sequence[SensorCheck]) -> float:

@@ -67,10 +67,11 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
     """
     match source:
         case DrivenRecord():
-            channels, record = [Channel(f"floor {floor}", int(floor)) for floor in source.floors], source
-            record = record.replaced(
+            channels = [Channel(f"floor {floor}", int(floor)) for floor in source.floors]
+            none = np.full((1, len(channels)), np.nan)
+            record = source.replaced(
                 responses=(
-                    np.full((run.samples, len(channels)), np.nan) if run.responses is None else run.responses
+                    np.repeat(none, run.samples, axis=0) if run.responses is None else run.responses
                     for run in source.runs
                 )
             )
@@ -225,19 +226,13 @@ def _a_column_a_floor(channels: Sequence[Channel], record: DrivenRecord) -> Driv
     along = np.abs(cosines) >= np.cos(np.radians(examination.ACROSS))
     floors = np.unique(record.floors[along])
     groups = [np.flatnonzero(along & (record.floors == floor)) for floor in floors]
-    motions = [
-        np.column_stack(
-            [
-                np.zeros((run.samples, 0)),
-                *(
-                    run.measured[:, group] @ (examination.center_weights(channels, group)[0] / cosines[group])
-                    for group in groups
-                ),
-            ]
-        )
-        for run in record.runs
-    ]
-    return record.replaced(floors, responses=motions)
+    weights = [examination.center_weights(channels, group)[0] / cosines[group] for group in groups]
+
+    def motion(run: DrivenRun) -> Floats:
+        own = (run.measured[:, group] @ weight for group, weight in zip(groups, weights, strict=True))
+        return np.column_stack([np.zeros((run.samples, 0)), *own])
+
+    return record.replaced(floors, responses=map(motion, record.runs))
 
 
 def on_time(record: DrivenRecord, late: Floats) -> DrivenRecord:

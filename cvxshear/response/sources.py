@@ -272,6 +272,21 @@ def line_remarks(before: DrivenRecord, after: DrivenRecord) -> list[str]:
     ]
 
 
+def model_remarks(fitted: Fitted, passed: Floats | None) -> list[str]:
+    """Report what a model leaves out: the noise, the scale of the masses, and limits that nothing judges."""
+    said = []
+    if fitted.covariance is None:
+        said.append(
+            "no standard deviations: the measurement declares no noise and has no data left to estimate it by, so that "
+            "the identified stiffnesses are taken as exact"
+        )
+    if not fitted.mass_known:
+        said.append("the masses have no scale (give total_mass): forces and moments are left out")
+    if fitted.experiment.limits is not None and passed is None:
+        said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
+    return said
+
+
 def _unused(experiment: Experiment, added: Floats) -> str:
     """Make a name for a configuration that was not tested; no effect of a tested configuration acts on this name."""
     taken = {each.name for each in experiment.configurations}
