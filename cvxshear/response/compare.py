@@ -60,7 +60,7 @@ class Transfer:
 def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
     """Return the number of samples of a piece, for a mode of this frequency (Hz) and ratio; allow several pieces."""
     wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
-    return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
+    return min(samples, int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1)))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from cvxshear.response.innovations import FIRST_NOISE, Filter, PredictionErrors,
 from cvxshear.response.recording import Piece, cut, on_time, parted, rms, without_lines
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, Dynamics
-from cvxshear.response.uncertain import UncertainFrame, with_modes
+from cvxshear.response.uncertain import UncertainFrame, either_side
 from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
@@ -366,9 +366,6 @@ class FrameMotion:
             p[frame] += size * (own @ weights)
             return fitted.errors.model(p)
 
-        def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
-            return model_at(weights, size), model_at(weights, -size)
-
         def moved(system: state_space.Dynamics) -> Floats:
             return system.outputs.of(settled_states(system, *probed), run.excitation[part])
 
@@ -380,8 +377,8 @@ class FrameMotion:
         strength, turned = np.linalg.eigh(flat @ flat.T)
         chosen = ranking.order(strength)[:MOST_DIRECTIONS]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
-        pairs = (with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
-        sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
+        pairs = (either_side(partial(model_at, row)) for row in turned[:, chosen].T)
+        sides = tuple((there, back, 1.0 / size) for there, back, size in pairs)
         return sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300)
 
 
@@ -461,8 +458,9 @@ def checked(
         columns = np.column_stack([gain * moved - seen, (gain * std) ** 2 + sigma**2, seen, gain * alone - seen])
         rows.append(columns[own.weights[part, channel] == 1.0])
     error, variance, measured, alone = np.concatenate(rows).T
-    within = float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variance)))
-    return SensorCheck(place + 1, rms(error), float(np.sqrt(np.mean(variance))), rms(measured), rms(alone), within)
+    std = np.sqrt(variance)
+    within = np.count_nonzero(np.abs(error) <= NORMAL_95 * std) / max(len(std), 1)
+    return SensorCheck(place + 1, rms(error), rms(std), rms(measured), rms(alone), within)
 
 
 def widening(checks: Sequence[SensorCheck]) -> float:

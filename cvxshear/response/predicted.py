@@ -305,10 +305,8 @@ def predict(
         before = _model_response(models.before, other.centre, motion)
     found = _predicted(models, frame, motion, before)
     named = configuration is not None
-    said = [*sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)]
-    said += [*sources.line_remarks(recorded, motion), *found.remarks]
-    said += sources.model_remarks(models.after, found.passed)
-    return dataclasses.replace(found, remarks=(*recorded.remarks, *said))
+    said = sources.assumptions(models.after, frame.configuration, recorded, motion, found.passed, named=named)
+    return dataclasses.replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
 
 
 def set_up(

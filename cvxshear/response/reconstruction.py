@@ -300,7 +300,7 @@ def remarks_of(found: Reconstruction) -> list[str]:
             "the floors do not weigh what they did in the tests: base motion tells the change of each against the "
             "others, not that of all together"
         )
-    return said + sources.model_remarks(found.fitted, found.passed)
+    return said
 
 
 @usual_arithmetic
@@ -353,7 +353,7 @@ def reconstruct(
     NoSolutionError
         If the backend does not solve a program.
     """
-    models, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
+    _, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
     if not recorded.floors.size:
         raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
     if len({run.floor for run in recorded.runs}) > 1:
@@ -371,7 +371,9 @@ def reconstruct(
     predicted = predicted_responses(identified, work.recording)
     checks = []
     for channel in range(len(recorded.floors)) if leave_out and len(recorded.floors) > 1 else ():
-        checks.append(frame_motion.checked(work, fitted, smoothed, channel, predicted))
+        check = frame_motion.checked(work, fitted, smoothed, channel, predicted)
+        # A sensor whose samples are all missing or spikes is no check.
+        checks += [check] if check.stated else []
         advance()
     runs = work.runs(fitted, frame_motion.widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
@@ -383,10 +385,9 @@ def reconstruct(
     )  # fmt: skip
     advance()
     named = configuration is not None
-    said = sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)
+    said = sources.assumptions(frame.fitted, frame.configuration, recorded, work.recording, found.passed, named=named)
     if len(evidences) > 1:
         said.append(_reading_remark(sources.DRIVING[recorded.input], *evidences))
-    said += sources.line_remarks(recorded, work.recording)
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found)))
 
 

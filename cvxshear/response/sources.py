@@ -272,9 +272,31 @@ def line_remarks(before: DrivenRecord, after: DrivenRecord) -> list[str]:
     ]
 
 
-def model_remarks(fitted: Fitted, passed: Floats | None) -> list[str]:
-    """Report what a model leaves out: the noise, the scale of the masses, and limits that nothing judges."""
-    said = []
+def _unused(experiment: Experiment, added: Floats) -> str:
+    """Make a name for a configuration that was not tested; no effect of a tested configuration acts on this name."""
+    taken = {each.name for each in experiment.configurations}
+    name = f"{added.sum():g} kg added" if np.any(added) else "nothing added"
+    while name in taken:
+        name += ", not tested"
+    return name
+
+
+def assumptions(
+    fitted: Fitted, configuration: Configuration, before: DrivenRecord, after: DrivenRecord, passed: Floats | None,
+    *, named: bool,
+) -> list[str]:  # fmt: skip
+    """Report what is assumed of the state, the record and the model, and what the model leaves out.
+
+    Parameters
+    ----------
+    before, after : DrivenRecord
+        The record, and the record without straight lines.
+    passed : ndarray, optional
+        Probabilities of the limits; None if nothing judges them.
+    named : bool
+        Whether the user named the configuration.
+    """
+    said = state_remarks(fitted.experiment, before, configuration, named=named) + line_remarks(before, after)
     if fitted.covariance is None:
         said.append(
             "no standard deviations: the measurement declares no noise and has no data left to estimate it by, so that "
@@ -285,12 +307,3 @@ def model_remarks(fitted: Fitted, passed: Floats | None) -> list[str]:
     if fitted.experiment.limits is not None and passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
     return said
-
-
-def _unused(experiment: Experiment, added: Floats) -> str:
-    """Make a name for a configuration that was not tested; no effect of a tested configuration acts on this name."""
-    taken = {each.name for each in experiment.configurations}
-    name = f"{added.sum():g} kg added" if np.any(added) else "nothing added"
-    while name in taken:
-        name += ", not tested"
-    return name

@@ -149,7 +149,8 @@ def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
 
 
 @pytest.mark.parametrize(
-    ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
+    ("samples", "ratio", "expected"),
+    [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16), (5, 0.01, 5)],
 )
 def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twice(samples, ratio, expected):
     assert comparing.segment(samples, 50.0, 10.0, ratio) == expected
