@@ -5,9 +5,10 @@ and effects of the identified model, the gains of the sensors, and the errors of
 
     dK = sum over i <= j of e_ij omega_i omega_j M (phi_i phi_j' + phi_j phi_i') M / (1 + delta_ij),
 
-times the mean factor of the stories, with modes phi_i of the identified model. This is a symmetric change of the stiffness that story stiffnesses cannot
-represent. Shear models fitted to the modes of finite-element frames with bending beams have e_ij of 0.01 to 0.04, of
-similar size for all i and j. For i = j, the errors grow with each mode beyond the measured ones.
+times the mean factor of the stories, with modes phi_i of the identified model. This is a symmetric change of the
+stiffness that story stiffnesses cannot represent. Shear models fitted to the modes of finite-element frames with
+bending beams have e_ij of 0.01 to 0.04, of similar size for all i and j. For i = j, the errors grow with each mode
+beyond the measured ones.
 """
 
 from __future__ import annotations
