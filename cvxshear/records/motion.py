@@ -147,8 +147,9 @@ class DrivenRecord(checks.ReadOnlyArrays):
         return sum(run.samples for run in self.runs) / self.sampling_rate
 
     def rms(self) -> Floats:
-        """Compute the root mean square of the excitation and of each channel, shape (1 + floors,)."""
-        square: Floats = np.nanmean(np.concatenate([run.columns for run in self.runs]) ** 2, axis=0)
+        """Compute the rms of the excitation and of each channel, shape (1 + floors,); 0 without samples."""
+        values = np.concatenate([run.columns for run in self.runs])
+        square: Floats = np.nansum(values**2, axis=0) / np.maximum(np.isfinite(values).sum(axis=0), 1)
         return np.sqrt(square)
 
     def replaced(self, floors: Ints | None = None, **arrays: Iterable[Floats]) -> DrivenRecord:
