@@ -72,6 +72,11 @@ class DrivenRun(checks.ReadOnlyArrays):
         """Excitation between the samples and at the samples, shape (samples, 2)."""
         return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
 
+    @property
+    def columns(self) -> Floats:
+        """The excitation and each channel, shape (samples, 1 + floors)."""
+        return np.column_stack([self.excitation, self.measured])
+
 
 @dataclass(frozen=True, eq=False)
 class DrivenRecord(checks.ReadOnlyArrays):
@@ -141,13 +146,10 @@ class DrivenRecord(checks.ReadOnlyArrays):
         """Length of all runs together."""
         return sum(run.samples for run in self.runs) / self.sampling_rate
 
-    def columns(self) -> Floats:
-        """Return the excitation and each channel in all runs, shape (samples, 1 + floors)."""
-        return np.concatenate([np.column_stack([run.excitation, run.measured]) for run in self.runs])
-
     def rms(self) -> Floats:
-        """Compute the root mean square of the excitation and of each channel, shape (1 + floors,)."""
-        square: Floats = np.nanmean(self.columns() ** 2, axis=0)
+        """Compute the rms of the excitation and of each channel, shape (1 + floors,); 0 without samples."""
+        values = np.concatenate([run.columns for run in self.runs])
+        square: Floats = np.nansum(values**2, axis=0) / np.maximum(np.isfinite(values).sum(axis=0), 1)
         return np.sqrt(square)
 
     def replaced(self, floors: Ints | None = None, **arrays: Iterable[Floats]) -> DrivenRecord:

@@ -18,7 +18,7 @@ from cvxshear.records.motion import DrivenRecord, trend
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.recording import rms, without_base_line, without_lines
 from cvxshear.response.state_space import Response, response
-from cvxshear.util.quantities import CHANNEL_UNITS, SURE, ranged
+from cvxshear.util.quantities import CHANNEL_UNITS, SURE, numbered
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -60,7 +60,7 @@ class Transfer:
 def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
     """Return the number of samples of a piece, for a mode of this frequency (Hz) and ratio; allow several pieces."""
     wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
-    return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
+    return min(samples, int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,46 +304,27 @@ def _shifts(
 HALVES = 24
 
 
-def moved_alike(measured: Floats, predicted: Floats) -> Floats:
-    """Compute the correlation of each channel with its prediction over time, shape (n,)."""
+def alike(measured: Floats, predicted: Floats) -> Floats:
+    """Compute the correlation of each channel with its prediction over time, shape (n,); 0 for a still one."""
     power: Floats = np.sum(measured**2, axis=0) * np.sum(predicted**2, axis=0)
     return np.asarray(np.sum(measured * predicted, axis=0) / np.maximum(np.sqrt(power), 1e-300))
 
 
-def moved_against(measured: Floats, predicted: Floats) -> Bools:
-    """Find channels that moved opposite to their prediction while all others moved with theirs, shape (n,)."""
-    alike = moved_alike(measured, predicted)
-    against = alike < -LIKE
-    sure = np.all(against | (alike > LIKE)) and 2 * np.sum(against) < len(against)
-    return np.asarray(against & sure, dtype=bool)
-
-
-def contradictions(measured: Floats, predicted: Floats, floors: Ints) -> list[str]:
-    """Report contradictions that one factor or a sign explains."""
-    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (measured, predicted))
-    if not len(floors) or not np.all(size_y > 0) or not np.all(size_p > 0):
+def confused_units(measured: Floats, predicted: Floats) -> list[str]:
+    """Report a factor between all channels and their predictions, (samples, n) each, that is a unit's."""
+    sizes = np.sqrt(np.mean(np.stack([measured, predicted]) ** 2, axis=1))
+    if not sizes.size or not np.all(sizes > 0):
         return []
-    own = moved_alike(measured, predicted)
-    said = []
-    ratios = size_y / size_p
-    factor = float(np.exp(np.mean(np.log(ratios))))
-    spread = float(np.max(np.abs(np.log(ratios / factor))))
+    ratios = np.log(sizes[0] / sizes[1])
+    factor, said = float(np.mean(ratios)), []
     for unit in CONFUSED_UNITS:
         size = CHANNEL_UNITS[unit][1]
         for known, wrong in ((1 / size, "are the floors"), (size, "is the base motion")):
-            if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
+            if np.max(np.abs(ratios - factor)) < SAME_FACTOR and abs(factor - np.log(known)) < SAME_FACTOR:
                 said.append(
-                    f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:.4g}: "
-                    f"{wrong} in {unit}?"
+                    f"every floor was measured {np.exp(factor):.3g} times as large as predicted, which is near "
+                    f"{known:.4g}: {wrong} in {unit}?"
                 )
-    against = floors[own < -LIKE]
-    if against.size and against.size < len(floors):
-        said.append(
-            f"floor {ranged(against.tolist())} moved against the prediction (correlation {own[own < -LIKE].min():.2f}) "
-            "where the others moved with it: is the sensor reversed?"
-        )
-    elif against.size:
-        said.append("every floor moved against the prediction: is the excitation's sign reversed?")
     return said
 
 
@@ -382,21 +363,26 @@ def readings_of(model: DampedModel, record: DrivenRecord) -> list[DrivenRecord]:
 def as_predicted(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
     """Return a record corrected by the prediction of the identified model.
 
-    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
+    Channels are inverted if they move opposite to their prediction, and all others, which are the majority, move with
+    theirs. Other contradictions are added to the remarks.
     """
     shown = [seen(model, each, record.floors) for each in predicted_responses(model, record)]
     measured = np.concatenate([run.measured - trend(run.measured) for run in record.runs])
     predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)
     measured = np.nan_to_num(measured)
-    against = moved_against(measured, predicted)
-    signs = np.where(against, -1.0, 1.0)
+    moved = alike(measured, predicted)
+    against = moved < -LIKE
+    sure = 2 * np.sum(against) < len(against) and bool(np.all(against | (moved > LIKE)))
     said = [
         f"the sensor of floor {floor} is reversed: it moves against the prediction, where all others move with it; "
         "turned round, check its sign in the record file"
-        for floor in record.floors[against]
+        for floor in record.floors[against & sure]
     ]
-    said += contradictions(signs * measured, predicted, record.floors)
-    turned = record.replaced(responses=(signs * run.measured for run in record.runs))
+    if not sure and against.any():
+        floors = numbered("floor", record.floors[against].tolist())
+        said.append(f"{floors} moved against the prediction: is the sensor reversed, or the excitation's sign?")
+    said += confused_units(measured, predicted)
+    turned = record.replaced(responses=(np.where(against & sure, -1.0, 1.0) * run.measured for run in record.runs))
     return dataclasses.replace(turned, remarks=(*record.remarks, *said))
 
 

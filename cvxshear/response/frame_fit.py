@@ -309,8 +309,10 @@ def fit_frame(
 def _nearer(
     errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
 ) -> Floats:
-    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
+    """Return the most probable frame of a linearized likelihood, with the noise of p; p if it has no modes."""
     nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    # The likelihood is linear in the levels of the noise over much smaller steps.
+    nearer[errors.levels] = p[errors.levels]
     try:
         errors.model(nearer)
     except NoModesError:
@@ -346,22 +348,16 @@ def _mixed(
     converged: bool,
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
-    total = sum(each.probability for each in answers)
     covariance = np.zeros((errors.size, errors.size))
-    for each in answers:
-        mean, own = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
+    linears = [frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*each.prior)) for each in answers]
+    for each, linear in zip(answers, linears, strict=True):
+        mean, own = linear.posterior()
         away = mean - at.p
-        covariance += each.probability / total * (own + np.outer(away, away))
-    inflation, along, evidence = at.likelihood.inflation, at.posterior.along, _log_evidence(at, prior, answers)
-    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
-
-
-def _log_evidence(at: _Point, prior: frame_prior.FramePrior, answers: Sequence[frame_prior.FrameAnswer]) -> float:
-    """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
-    best = answers[0]
-    linear = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
-    (own,) = linear.evidences((), [()])
-    own += sum(prior.changes[each].log_odds for each in best.changed)
+        covariance += each.probability * (own + np.outer(away, away))
+    # The log probability over all answers is the best answer's, divided by its probability.
+    best, (evidence,) = answers[0], linears[0].evidences((), [()])
+    evidence += sum(prior.changes[each].log_odds for each in best.changed) - float(np.log(best.probability))
     # The triangle has the part that depends on the unknowns; the rest of -2 log likelihood is constant.
-    rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
-    return own - float(np.log(best.probability)) - 0.5 * rest
+    evidence -= 0.5 * (errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c))
+    inflation, along = at.likelihood.inflation, at.posterior.along
+    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)

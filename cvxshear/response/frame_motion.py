@@ -23,7 +23,7 @@ from cvxshear.response.innovations import FIRST_NOISE, Filter, PredictionErrors,
 from cvxshear.response.recording import Piece, cut, on_time, parted, rms, without_lines
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, Dynamics
-from cvxshear.response.uncertain import UncertainFrame, with_modes
+from cvxshear.response.uncertain import UncertainFrame, either_side
 from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
@@ -366,9 +366,6 @@ class FrameMotion:
             p[frame] += size * (own @ weights)
             return fitted.errors.model(p)
 
-        def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
-            return model_at(weights, size), model_at(weights, -size)
-
         def moved(system: state_space.Dynamics) -> Floats:
             return system.outputs.of(settled_states(system, *probed), run.excitation[part])
 
@@ -380,8 +377,8 @@ class FrameMotion:
         strength, turned = np.linalg.eigh(flat @ flat.T)
         chosen = ranking.order(strength)[:MOST_DIRECTIONS]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
-        pairs = (with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
-        sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
+        pairs = (either_side(partial(model_at, row)) for row in turned[:, chosen].T)
+        sides = tuple((there, back, 1.0 / size) for there, back, size in pairs)
         return sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300)
 
 
@@ -451,29 +448,19 @@ def checked(
     stretches = [each for each in stretches if each.channels.any()]
     errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
     again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)
-    directions, noise = other.directions(again), errors.noise_at(again.p)
-    outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1
-    gain = float(fitted.model.gain[place])
-    row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
-    sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
-    left, stated, measured, alone = [], [], [], []
-    found = other.smoothed(errors, again.p, row[None, :])
-    for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
-        of_frame = other.frame_variance(directions, noise, run, each)[:, place]
-        variance = each.output_std[:, 0] ** 2 + sigma**2 + gain**2 * of_frame
-        there = smoothed[number].weights[part, channel] == 1.0
-        seen = work.recording.runs[number].measured[part, channel]
-        left.append((each.states @ row + direct * run.excitation - seen)[there])
-        stated.append(variance[there])
-        measured.append(seen[there])
-        alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
-    error, variances = np.concatenate(left), np.concatenate(stated)
-    return SensorCheck(
-        place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
-        rms(np.concatenate(alone)),
-        float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
-    )  # fmt: skip
+    gain, sigma = fitted.model.gain[place], fitted.errors.noise_at(fitted.p).sensors[channel]
+    rows = []
+    runs = zip(other.runs(again, 1.0), work.recording.runs, smoothed, predicted, parts, strict=True)
+    for found, run, own, motion, part in runs:
+        seen, std = run.measured[part, channel], found.std["floor_acceleration"][:, place]
+        moved, alone = found.response.acceleration[:, place], motion.acceleration[part, place]
+        columns = np.column_stack([gain * moved - seen, (gain * std) ** 2 + sigma**2, seen, gain * alone - seen])
+        rows.append(columns[own.weights[part, channel] == 1.0])
+    error, variance, measured, alone = np.concatenate(rows).T
+    std = np.sqrt(variance)
+    within = np.count_nonzero(np.abs(error) <= NORMAL_95 * std) / max(len(std), 1)
+    return SensorCheck(place + 1, rms(error), rms(std), rms(measured), rms(alone), within)
 
 
 def widening(checks: Sequence[SensorCheck]) -> float:

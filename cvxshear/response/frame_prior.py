@@ -32,8 +32,9 @@ from cvxshear.util.typing import Floats
 #: larger error of one sensor is a change with the prior of `SensorGain`.
 GAIN_STDS = (0.001, 0.01)
 
-#: Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
-#: in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent.
+#: Relative standard deviation of one factor on the stiffness of the frame, and of a factor on each error of form:
+#: instrumented buildings soften by some 5 to 30 % in strong shaking and mostly recover (Clinton, Bradford, Heaton and
+#: Favela 2006), bench frames by some percent. If columns soften and beams do not, the form of the frame changes.
 AMPLITUDE_STD = 0.15
 
 #: Relative standard deviation of the factors of unchanged stories: some hundredths of the softening of the frame.
@@ -62,9 +63,6 @@ FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 
 #: Minimum probability, relative to the most probable answer, of an answer in the average and of a set that is extended.
 LEAST_WEIGHT = 1e-3
-
-#: Maximum number of changes in a set.
-MOST_CHANGES = 3
 
 
 def modal_rows(frame: UncertainFrame, varied: VariedFrame) -> tuple[Floats, Floats]:
@@ -208,10 +206,11 @@ class FramePrior:
             self._by_modes[form_std] = self._given_modes(form_std)
         by_modes = self._by_modes[form_std]
         covariance = by_modes.covariance.copy()
-        N = self.varied.sizes[0]
-        ratios = slice(N, self.varied.dashpots.start)
+        N, D, W, X = self.varied.sizes
+        ratios, form = slice(N, self.varied.dashpots.start), slice(N + D + W, N + D + W + X)
         covariance[:N, :N] += AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(N)
         covariance[ratios, ratios] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(self.varied.own_std))
+        covariance[form, form] += (AMPLITUDE_STD * form_std) ** 2 * np.eye(X)
         for each in changed:
             covariance += self.changes[each].columns @ self.changes[each].columns.T
         return Gaussian(by_modes.mean, covariance, by_modes.evidence)
@@ -355,7 +354,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Fram
         linear = Linear(at, p, prior.gaussian((), form_std))
         level: list[tuple[int, ...]] = [()]
         best = -np.inf
-        for _ in range(MOST_CHANGES + 1):
+        while level:
             odds = [sum(prior.changes[each].log_odds for each in chosen) for chosen in level]
             evidences = linear.evidences(prior.changes, level)
             own = {chosen: one + other for chosen, one, other in zip(level, odds, evidences, strict=True)}

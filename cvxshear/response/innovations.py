@@ -242,17 +242,16 @@ class PredictionErrors:
         parts = [each.part(strongest(each.y, most)) for each in self.stretches]
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
-    def spread(self, model: Dynamics, y: Floats) -> Floats:
-        """Find the root L of a covariance L L' of the state at the beginning that explains the first period's rms."""
-        begins = y[: self.varied.first_samples(self.setting.step)]
-        shown = np.sum(model.H @ model.P0 * model.H, axis=1)
-        return covariance_root(model.P0) * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
-
     @cached_property
     def spreads(self) -> list[Floats]:
-        """Roots of the covariances of the state at the beginning of each segment, for the identified frame."""
-        model = self.dynamics(np.zeros(self.size))
-        return [self.spread(model.seen_by(run.channels), run.seen) for run in self.stretches]
+        """Roots L of covariances L L' of the state at the beginning of each segment, for the identified frame.
+
+        They explain the rms of the first period.
+        """
+        model, first = self.dynamics(np.zeros(self.size)), self.varied.first_samples(self.setting.step)
+        root, shown = covariance_root(model.P0), np.sum(model.H @ model.P0 * model.H, axis=1)
+        begins = ((np.mean(run.seen[:first] ** 2), np.mean(shown[run.channels])) for run in self.stretches)
+        return [root * float(np.sqrt(moved / stationary)) for moved, stationary in begins]
 
     def _filtered(self, p: Floats) -> list[tuple[Filter, list[tuple[Segment, Floats]]]]:
         """Settle the filter of each set of sensors; return it with the segments of this set and their `spreads`."""

@@ -109,9 +109,6 @@ def limits_in_json(limits: Limits | None, passed: Floats | None, stories: int) -
     return [{"name": name, "story_drift": drift, "probability": each} for name, drift, each in rows]
 
 
-#: Remark on limits without story heights.
-NO_HEIGHTS = "drift ratios need story_heights in [frame]: the limits cannot be judged"
-
 #: Least size of a sample in the strong part of a motion, relative to the peak.
 STRONG = 0.5
 
@@ -308,11 +305,8 @@ def predict(
         before = _model_response(models.before, other.centre, motion)
     found = _predicted(models, frame, motion, before)
     named = configuration is not None
-    said = [*sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)]
-    said += [*sources.line_remarks(recorded, motion), *found.remarks]
-    if found.limits is not None and found.passed is None:
-        said.append(NO_HEIGHTS)
-    return dataclasses.replace(found, remarks=(*recorded.remarks, *said))
+    said = sources.assumptions(models.after, frame.configuration, recorded, motion, found.passed, named=named)
+    return dataclasses.replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
 
 
 def set_up(
@@ -419,10 +413,6 @@ def _remarks(after: ModelResponse, motion: DrivenRecord) -> list[str]:
     if after.fitted.undetermined:
         names = "; ".join(listed(names) for names in after.fitted.undetermined)
         said.append(f"not determined by the measurement: {names}; the deviations do not include that")
-    if after.fitted.covariance is None:
-        said.append("no standard deviations: the measurement declares no noise and has no data left to estimate it by")
-    if not after.fitted.mass_known:
-        said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if not motion.floors.size:
         said.append("the record has no accelerations of floors to compare with")
     gaps = np.any([~np.isfinite(each.measured).all(axis=0) for each in motion.runs], axis=0)

@@ -25,7 +25,7 @@ from cvxshear.response.compare import predicted_responses, readings_of, without_
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_prior import GAIN_STDS
-from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of, set_up
+from cvxshear.response.predicted import Peaks, limits_in_json, limits_passed, peaks_of, set_up
 from cvxshear.response.recording import RecordSource
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
@@ -130,12 +130,8 @@ class Reconstruction(Shown):
 
     @property
     def changed(self) -> tuple[int, ...]:
-        """Stories (from 1) that changed by themselves with a probability of at least `SURE`.
-
-        If the modes contradict the model, the change must also exceed twice the model's shape error.
-        """
-        large = np.abs(self.frame.against_others[0]) > 2.0 * self.fitted.lacking
-        return self._sure((self.frame.story_probability >= SURE) & large)
+        """Stories (from 1) that changed by themselves with a probability of at least `SURE`."""
+        return self._sure(self.frame.story_probability >= SURE)
 
     @property
     def names_changes(self) -> bool:
@@ -299,17 +295,11 @@ def remarks_of(found: Reconstruction) -> list[str]:
             "base motion does not tell how heavy the frame is: were all floors heavier than in the tests by one part, "
             "forces would be larger by as much, and stories would seem as much softer"
         )
-    if found.fitted.covariance is None:
-        said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
-    if not found.fitted.mass_known:
-        said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if found.masses_changed:
         said.append(
             "the floors do not weigh what they did in the tests: base motion tells the change of each against the "
             "others, not that of all together"
         )
-    if found.limits is not None and found.passed is None:
-        said.append(NO_HEIGHTS)
     return said
 
 
@@ -363,7 +353,7 @@ def reconstruct(
     NoSolutionError
         If the backend does not solve a program.
     """
-    models, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
+    _, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
     if not recorded.floors.size:
         raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
     if len({run.floor for run in recorded.runs}) > 1:
@@ -381,7 +371,9 @@ def reconstruct(
     predicted = predicted_responses(identified, work.recording)
     checks = []
     for channel in range(len(recorded.floors)) if leave_out and len(recorded.floors) > 1 else ():
-        checks.append(frame_motion.checked(work, fitted, smoothed, channel, predicted))
+        check = frame_motion.checked(work, fitted, smoothed, channel, predicted)
+        # A sensor whose samples are all missing or spikes is no check.
+        checks += [check] if check.stated else []
         advance()
     runs = work.runs(fitted, frame_motion.widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
@@ -393,10 +385,9 @@ def reconstruct(
     )  # fmt: skip
     advance()
     named = configuration is not None
-    said = sources.state_remarks(models.after.experiment, recorded, frame.configuration, named=named)
+    said = sources.assumptions(frame.fitted, frame.configuration, recorded, work.recording, found.passed, named=named)
     if len(evidences) > 1:
         said.append(_reading_remark(sources.DRIVING[recorded.input], *evidences))
-    said += sources.line_remarks(recorded, work.recording)
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found)))
 
 

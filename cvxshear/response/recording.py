@@ -25,6 +25,7 @@ from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.response.state_space import ROUNDING
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Bools, Floats
 
 RecordSource = str | Path | TimeRecord | DrivenRecord
@@ -42,10 +43,6 @@ BLOCK_PERIODS = 4.0
 #: Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
 #: deviations, doubled because a line is largest at its ends.
 BY_CHANCE = 4.0
-
-#: Least delay that is removed, in samples. A damper in one story turns the phases of the modes, too, by up to a sample
-#: in frames with 3 % of damping from it. The fit of the frame weighs shorter delays together with dampers.
-LEAST_DELAY = 2.0
 
 
 def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
@@ -70,10 +67,11 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
     """
     match source:
         case DrivenRecord():
-            channels, record = [Channel(f"floor {floor}", int(floor)) for floor in source.floors], source
-            record = record.replaced(
+            channels = [Channel(f"floor {floor}", int(floor)) for floor in source.floors]
+            none = np.full((1, len(channels)), np.nan)
+            record = source.replaced(
                 responses=(
-                    np.full((run.samples, len(channels)), np.nan) if run.responses is None else run.responses
+                    np.repeat(none, run.samples, axis=0) if run.responses is None else run.responses
                     for run in source.runs
                 )
             )
@@ -191,7 +189,9 @@ def corrected(
             factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
         elif finding.kind == "swapped channels" and numbers["corrected"]:
             floors[columns] = np.unique(record.floors[columns]).sum() - record.floors[columns]
-        elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < LEAST_DELAY:
+        elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < NORMAL_95:
+            # A damper turns the phases of the modes, too. The fit of the frame weighs both; its delays have a standard
+            # deviation of one sample.
             continue
         elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
             late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
@@ -226,19 +226,13 @@ def _a_column_a_floor(channels: Sequence[Channel], record: DrivenRecord) -> Driv
     along = np.abs(cosines) >= np.cos(np.radians(examination.ACROSS))
     floors = np.unique(record.floors[along])
     groups = [np.flatnonzero(along & (record.floors == floor)) for floor in floors]
-    motions = [
-        np.column_stack(
-            [
-                np.zeros((run.samples, 0)),
-                *(
-                    run.measured[:, group] @ (examination.center_weights(channels, group)[0] / cosines[group])
-                    for group in groups
-                ),
-            ]
-        )
-        for run in record.runs
-    ]
-    return record.replaced(floors, responses=motions)
+    weights = [examination.center_weights(channels, group)[0] / cosines[group] for group in groups]
+
+    def motion(run: DrivenRun) -> Floats:
+        own = (run.measured[:, group] @ weight for group, weight in zip(groups, weights, strict=True))
+        return np.column_stack([np.zeros((run.samples, 0)), *own])
+
+    return record.replaced(floors, responses=map(motion, record.runs))
 
 
 def on_time(record: DrivenRecord, late: Floats) -> DrivenRecord:

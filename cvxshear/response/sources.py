@@ -15,7 +15,7 @@ from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
 from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
-from cvxshear.records.motion import DrivenRecord
+from cvxshear.records.motion import DrivenRecord, trend
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
@@ -261,11 +261,13 @@ WORTH_A_WORD = 0.01
 def line_remarks(before: DrivenRecord, after: DrivenRecord) -> list[str]:
     """Report the largest straight line that was removed as a fault of its sensor, if it is large enough."""
     names = [f"the {DRIVING[before.input]}", *(f"floor {floor}" for floor in before.floors)]
-    lines = np.max(np.nan_to_num(np.abs(before.columns() - after.columns())), axis=0) / np.maximum(after.rms(), 1e-300)
-    if np.max(lines) < WORTH_A_WORD:
+    # A delay that was removed is no line.
+    lines = [trend(one.columns - other.columns) for one, other in zip(before.runs, after.runs, strict=True)]
+    sizes = np.max(np.abs(np.concatenate(lines)), axis=0) / np.maximum(after.rms(), 1e-300)
+    if np.max(sizes) < WORTH_A_WORD:
         return []
     return [
-        f"a straight line of up to {percent(float(np.max(lines)), 1)} of the rms ({names[int(np.argmax(lines))]}) was "
+        f"a straight line of up to {percent(float(np.max(sizes)), 1)} of the rms ({names[int(np.argmax(sizes))]}) was "
         "taken for its sensor's and off; --no-detrend leaves it in"
     ]
 
@@ -277,3 +279,31 @@ def _unused(experiment: Experiment, added: Floats) -> str:
     while name in taken:
         name += ", not tested"
     return name
+
+
+def assumptions(
+    fitted: Fitted, configuration: Configuration, before: DrivenRecord, after: DrivenRecord, passed: Floats | None,
+    *, named: bool,
+) -> list[str]:  # fmt: skip
+    """Report what is assumed of the state, the record and the model, and what the model leaves out.
+
+    Parameters
+    ----------
+    before, after : DrivenRecord
+        The record, and the record without straight lines.
+    passed : ndarray, optional
+        Probabilities of the limits; None if nothing judges them.
+    named : bool
+        Whether the user named the configuration.
+    """
+    said = state_remarks(fitted.experiment, before, configuration, named=named) + line_remarks(before, after)
+    if fitted.covariance is None:
+        said.append(
+            "no standard deviations: the measurement declares no noise and has no data left to estimate it by, so that "
+            "the identified stiffnesses are taken as exact"
+        )
+    if not fitted.mass_known:
+        said.append("the masses have no scale (give total_mass): forces and moments are left out")
+    if fitted.experiment.limits is not None and passed is None:
+        said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
+    return said

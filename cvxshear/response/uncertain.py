@@ -179,11 +179,12 @@ def modal_matrix(M: Floats, real: Modes, ratios: Floats) -> Floats:
     return (turned * (2 * ratios * np.sqrt(real.eigenvalues))) @ turned.T
 
 
-def with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
-    """Build frames at this distance, or nearer until they have modes; return the distance, too."""
+def either_side(at: Callable[[float], T]) -> tuple[T, T, float]:
+    """Evaluate at plus and minus one deviation, or nearer until both frames have modes; return the distance, too."""
+    size = 1.0
     while True:
         try:
-            return at(size), size
+            return at(size), at(-size), size
         except NoModesError:
             size *= 0.25
 
@@ -194,12 +195,12 @@ def propagated(frame: UncertainFrame, function: Callable[[Damped], dict[str, Flo
     if not frame.uncertain:
         return {name: np.full_like(each, np.nan) for name, each in values.items()}
 
-    def either_side(xi: Floats, size: float) -> list[dict[str, Floats]]:
-        return [function(frame.at(sign * size * xi)) for sign in (1.0, -1.0)]
+    def away(xi: Floats, size: float) -> dict[str, Floats]:
+        return function(frame.at(size * xi))
 
     variance = {name: np.zeros_like(each) for name, each in values.items()}
     for xi in np.eye(frame.size):
-        (above, below), size = with_modes(partial(either_side, xi), 1.0)
+        above, below, size = either_side(partial(away, xi))
         for name in values:
             variance[name] += ((above[name] - below[name]) / (2 * size)) ** 2
     return {name: np.sqrt(each) for name, each in variance.items()}

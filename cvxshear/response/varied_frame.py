@@ -5,9 +5,10 @@ and effects of the identified model, the gains of the sensors, and the errors of
 
     dK = sum over i <= j of e_ij omega_i omega_j M (phi_i phi_j' + phi_j phi_i') M / (1 + delta_ij),
 
-with modes phi_i of the identified model. This is a symmetric change of the stiffness that story stiffnesses cannot
-represent. Shear models fitted to the modes of finite-element frames with bending beams have e_ij of 0.01 to 0.04, of
-similar size for all i and j. For i = j, the errors grow with each mode beyond the measured ones.
+times the mean factor of the stories, with modes phi_i of the identified model. This is a symmetric change of the
+stiffness that story stiffnesses cannot represent. Shear models fitted to the modes of finite-element frames with
+bending beams have e_ij of 0.01 to 0.04, of similar size for all i and j. For i = j, the errors grow with each mode
+beyond the measured ones.
 """
 
 from __future__ import annotations
@@ -158,9 +159,10 @@ class VariedFrame:
         own = np.exp(unknowns[:N])
         nuisance, missed = np.split(unknowns[N + D :], [W])
         tested = 1.0 + self._tested_shares @ nuisance
-        heavier, forms = 1.0 + self._heavier @ nuisance, self._shares(self.form)
+        heavier, common = 1.0 + self._heavier @ nuisance, np.exp(np.mean(unknowns[:N]))
+        forms = common * self._shares(self.form)
         J = np.zeros((N, N + D + W + X))
-        J[:, :N] = np.diag(tested * own)
+        J[:, :N] = np.diag(tested * own) + heavier * (forms @ missed)[:, None] / N
         J[:, N + D : N + D + W] = own[:, None] * self._tested_shares + np.outer(forms @ missed, self._heavier)
         J[:, N + D + W :] = heavier * forms
         return tested * own + heavier * (forms @ missed), J
@@ -220,7 +222,8 @@ class VariedFrame:
             (factors @ each.reshape(len(each), old.M.size)).reshape(old.M.shape)
             for factors, each in ((nuisance, self.dM), (nuisance, self.dK), (missed, self.form))
         )
-        M, K = old.M + dM, old.K + dK + heavier * form
+        # A frame that is softer as a whole has a softer form, too.
+        M, K = old.M + dM, old.K + dK + heavier * np.exp(np.mean(stiffness)) * form
         tested = self.story_stiffness * (1.0 + self._tested_shares @ nuisance)
         K = K + stiffness_matrix(tested * np.expm1(stiffness))
         damping, dashpots = np.split(damping, [len(self.own_std)])

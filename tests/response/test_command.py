@@ -187,15 +187,6 @@ def test_doubts_are_told_with_a_prediction(folder, run, printed):
     assert "story_heights" in item["found"]
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
-@pytest.mark.parametrize("place", [("--out", "/dev/full"), ("--figure", "peaks:/dev/full")])
-def test_a_device_is_written_to_whatever_it_is_called(folder, run, place):
-    status, out, err = run("predict", "frame.toml", "--record", "shaken.toml", *place)
-    assert status == 2
-    assert "peaks ± standard deviation" in out
-    assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"
-
-
 def test_reconstruct_writes_all_it_is_asked_for(folder, printed):
     """Floors 1 and 3 carry sensors; one sensor has a gap."""
     text = (folder / "shaken.csv").read_text().splitlines()[:1001]

@@ -8,7 +8,7 @@ import pytest
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response import DampedModel, response, sources
 from cvxshear.response import compare as comparing
-from cvxshear.response.compare import Transfer, contradictions, moved_against
+from cvxshear.response.compare import Transfer, confused_units
 from cvxshear.response.recording import without_base_line, without_lines
 from tests.response.common import damped_frame, matrices
 
@@ -85,21 +85,18 @@ def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
     p = p @ (np.eye(3) + 0.3)
 
     def said(factors):
-        return "; ".join(contradictions(p * factors, p, np.array([1, 2, 3])))
+        return "; ".join(confused_units(p * factors, p))
 
+    for factor, unit in (
+        (9.80665, "base motion in g"), (0.10197, "floors in g"), (1000.0, "floors in mm/s2"),
+        (1e-3, "base motion in mm/s2"), (100.0, "floors in cm/s2"), (0.01, "base motion in cm/s2"),
+        (39.37, "floors in in/s2"),
+    ):  # fmt: skip
+        assert unit in said(0.8 * factor * np.ones(3))
+        assert unit in said(1.25 * factor * np.ones(3))
     assert "near 1000: are the floors in mm/s2?" in said(1000 * np.exp([0.24, 0.24, 0.2]))
     assert said(1000 * np.exp([0.26, 0.26, 0.27])) == said(np.array([1000.0, 1000.0, 1800.0])) == said(np.ones(3)) == ""
-    assert said(-np.ones(3)) == "every floor moved against the prediction: is the excitation's sign reversed?"
-    assert said(np.array([1.0, -1.0, 1.0])).startswith("floor 2 moved against the prediction (correlation -1.00)")
     assert said(np.array([1.0, 0.0, 1.0])) == ""
-
-
-def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_prediction():
-    p = np.random.default_rng(5).standard_normal((200, 4))
-    other = np.random.default_rng(6).standard_normal((200, 4))
-    assert moved_against(p * [1, -1, 1, 1], p).tolist() == [False, True, False, False]
-    assert not moved_against(p * [1, -1, -1, 1], p).any()
-    assert not moved_against(np.column_stack([p[:, :2] * [1, -1], other[:, 2:]]), p).any()
 
 
 def test_lines_beside_an_expected_motion_are_taken_off():
@@ -152,7 +149,8 @@ def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
 
 
 @pytest.mark.parametrize(
-    ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
+    ("samples", "ratio", "expected"),
+    [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16), (5, 0.01, 5)],
 )
 def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twice(samples, ratio, expected):
     assert comparing.segment(samples, 50.0, 10.0, ratio) == expected
@@ -222,15 +220,3 @@ def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode():
     assert found.shifts == ()
     bare = DrivenRecord((DrivenRun(excitation),), 100.0)
     assert comparing.compared(model, [plain], bare) is None
-
-
-@pytest.mark.parametrize(
-    ("factor", "said"),
-    [(9.80665, "base motion in g"), (0.10197, "floors in g"), (1000.0, "floors in mm/s2"),
-     (1e-3, "base motion in mm/s2"), (100.0, "floors in cm/s2"), (0.01, "base motion in cm/s2"),
-     (39.37, "floors in in/s2")],
-)  # fmt: skip
-def test_each_unit_is_told_to_a_fifth(factor, said):
-    p = np.random.default_rng(3).standard_normal((100, 2))
-    for times in (0.8, 1.25):
-        assert said in contradictions(p * factor * times, p, np.array([1, 2]))[0]

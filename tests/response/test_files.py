@@ -10,7 +10,6 @@ from cvxshear.paper.scatter import three_story
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.responses import series, write_series
 from cvxshear.response import Fitted, Models, predict
-from cvxshear.util.errors import InputError
 from tests.response.common import shaking
 
 RATIOS = [0.01, 0.015, 0.02]
@@ -54,10 +53,3 @@ def test_the_header_of_time_series_has_units(three, tmp_path):
     head = (tmp_path / "series.csv").read_text().splitlines()[0].split(",")
     assert head[:4] == ["run", "time (s)", "excitation (m/s2)", "acceleration_1 (m/s2)"]
     assert {"drift_2 (m)", "drift_std_2 (m)", "drift_ratio_1", "shear_3 (N)", "overturning_moment (N m)"} < set(head)
-
-
-def test_names_of_files_that_nothing_is_written_as(three, tmp_path):
-    with pytest.raises(InputError, match=r"time series are written as .csv, .mat or .npz"):
-        write_series(tmp_path / "series.xls", three[2]["modal"])
-    with pytest.raises(InputError, match="cannot be written"):
-        write_series(tmp_path / "nowhere" / "series.csv", three[2]["modal"])

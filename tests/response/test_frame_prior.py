@@ -90,7 +90,7 @@ def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths
     logs = {
         (changed, width): log_density(at, p, gaussian(changed, width)) - 30.0 * width
         + sum(CHANGES[each].log_odds for each in changed)
-        for size in range(4)
+        for size in range(5)
         for changed in itertools.combinations(range(len(CHANGES)), size)
         for width in frame_prior.FORM_STDS
     }  # fmt: skip
@@ -140,7 +140,8 @@ def test_factors_and_directions_change_what_they_say(kind):
     np.testing.assert_allclose(found.M, M + 0.7 * dM[0])
     heavier = np.mean(np.diag(found.M) / np.diag(M))
     stories = chain(np.ones(3), 1.007 * stiffness * np.exp(story))[1]
-    np.testing.assert_allclose(found.K, stories + 0.02 * heavier * form[0])
+    # A frame that is softer as a whole has a softer form, too.
+    np.testing.assert_allclose(found.K, stories + 0.02 * heavier * np.exp(story.mean()) * form[0])
     np.testing.assert_allclose(found.gain, [1.0, 1.07, 1.0])
     if kind == "story":
         expected = heavier * chain(np.ones(3), damped_frame(3)[2] * np.exp(damping))[1]
@@ -260,11 +261,12 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
     in_tests = np.zeros((size + 6, len(tests)))
     in_tests[:N, :N], in_tests[N + D : size, N:] = root, tests[N:, N:]
-    # Each ratio varies by itself and with all others; the stories do so, too, and may have a factor of their own.
+    # Each ratio varies by itself and with all others; the stories do so, too; each error of form varies by itself.
     own = np.zeros((size + 6, size + 6))
     own[:N, :N] = 0.15**2 + 0.003**2 * np.eye(N)
     own[N : N + N, N : N + N] = 0.5**2 + np.diag(frame.own_std**2 + 0.3**2)
     own[N + N : N + D, N + N : N + D] = 1e-6 * np.eye(N)
+    own[size - X : size, size - X : size] = (0.15 * form_std) ** 2 * np.eye(X)
     own[size:, size:] = np.diag([1.0] * 4 + [1e-6] * 2)
     own[1, 1] += 0.25**2
     own[N + N, N + N] += 1.0
