@@ -359,7 +359,8 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
 def _reference(result: LoopResult) -> str:
     """Advise to declare the sound state if causes in several states are rivals."""
     experiment = result.estimate.experiment
-    states = {each.placed.place.state for item in result.effects for each in (item, *item.rivals)}
+    states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
+    states |= {item.placed.place.state for item in result.effects}
     if experiment.frame.reference is not None or len(states - {None}) < 2:
         return ""
     return (

@@ -101,10 +101,9 @@ def headline(result: LoopResult) -> str:
         numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
         moved = change_in_words(result.before.estimate, before.estimate)
         renumbered = f"{numbers}, and with these numbers {moved}; "
+    within = f"within {noise_in_words(result) or 'the stated noise'}"
     if result.estimate.dof <= 0:
         within = "exactly, as it has as many parameters as there are data"
-    else:
-        within = f"within {noise_in_words(result) or 'the stated noise'}"
     model = "the symmetric model" if result.experiment.symmetric else "the shear model"
     if result.assumed:
         model += f" with {listed([placed.label for placed in result.assumed])}"

@@ -253,14 +253,13 @@ def generous_noise(fit: results.Quality) -> Iterator[str]:
     ----------
     fit : Quality
     """
-    if fit.p_value is None or fit.p_value <= 1 - RULED_OUT:
-        return
-    size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
-    yield (
-        f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either they "
-        "are too large, and so are those of masses and stiffnesses, or they include errors that all data share, such "
-        "as the calibration of a sensor; those that 'modes' writes do"
-    )
+    if fit.p_value is not None and fit.p_value > 1 - RULED_OUT:
+        size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
+        yield (
+            f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either "
+            "they are too large, and so are those of masses and stiffnesses, or they include errors that all data "
+            "share, such as the calibration of a sensor; those that 'modes' writes do"
+        )
 
 
 def _chi_square(fit: results.Quality) -> str:
@@ -350,7 +349,7 @@ def part_section(
         # A value with its deviation takes half as much again of the width; floors come first, then stories.
         *frame.folded(2 * blocks.PAGE_COLUMNS // 3),
         *turning_words(part.frame),
-        *_bounds(part),
+        *blocks.warnings(_bounds(part)),
         *_prices(part, place, units),
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
@@ -360,15 +359,14 @@ def part_section(
     return blocks.section(f"part-{place}", title, *parts)
 
 
-def _bounds(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
+def _bounds(part: results.SingleIdentification) -> Iterator[str]:
     """Warn of parameters that a bound holds."""
     if part.frame.at_bounds:
         are = "is" if len(part.frame.at_bounds) == 1 else "are"
-        yield blocks.Sentence(
+        yield (
             f"{quantities.capital(in_words(part.frame.at_bounds))} {are} at a bound, a declared one or the least that "
             "counts as positive; the data alone lead beyond it. That is no measurement, and the other standard "
-            "deviations hold only as far as the bound is true.",
-            "warning",
+            "deviations hold only as far as the bound is true."
         )
 
 

@@ -143,11 +143,11 @@ def remedies(result: Plan) -> blocks.Table:
 
 def other_frames(result: Plan) -> Iterator[blocks.Sentence]:
     """Say that several frames will fit the planned tests, and which further test tells them apart."""
-    others = result.other_frames
+    others, relative = result.other_frames, result.model.design.frame.total_mass_placeholder
     if others.frames and result.objective < UNKNOWN_STD:
         remedy = "Shapes at two floors or more tell them apart."
         if others.next_test is not None:
-            test = put_more(others.next_test, units_for(result.model.design))
+            test = put_more(others.next_test, quantities.Units(relative=relative))
             remedy = f"{test} to tell them apart, or measure shapes at two floors or more."
         said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design. {remedy}"
         yield blocks.Sentence(said, "warning")
@@ -192,7 +192,7 @@ def added_masses(result: Plan) -> blocks.Table:
 def accuracy(result: Plan) -> blocks.Table:
     """Tabulate the expected deviations of masses and stiffnesses, the top first."""
     design, chosen = result.model.design, result.chosen
-    units = units_for(design)
+    units = quantities.Units(relative=design.frame.total_mass_placeholder)
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
     return blocks.table("accuracy-table", "expected standard deviations (of the shear model)", {
@@ -391,14 +391,12 @@ def programs(kind: ProgramKind) -> str:
 
 def worst(result: Comparison) -> blocks.Table:
     """Tabulate the worst figures of each backend over all programs that the backend accepts."""
-    rows_of: dict[str, list[BackendResult]] = {}
-    for row in result.rows:
-        rows_of.setdefault(row.backend, []).append(row)
-    every = list(rows_of.values())
+    backends = dict.fromkeys(row.backend for row in result.rows)
+    every = [[row for row in result.rows if row.backend == backend] for backend in backends]
     *_, bound = FIGURES_OF_BACKENDS
     residuals = [key for head, key in FIGURES_OF_BACKENDS.items() if head not in ("difference", bound)]
     return blocks.table("backends-table", "Worst figures of each backend over all programs", {
-        "backend": rows_of,
+        "backend": backends,
         "programs solved": [
             f"{sum(row.programs for row in rows if not row.failure)} of {sum(row.programs for row in rows)}"
             for rows in every

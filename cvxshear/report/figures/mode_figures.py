@@ -180,7 +180,7 @@ def _modelled_line(axes: Axes, shape: Floats, levels: Floats | Ints, **look: Any
 
 
 def _measured_dots(axes: Axes, values: Floats, levels: Floats | Ints, std: Floats | None) -> None:
-    look = {"fmt": "o", "color": style.MEASURED, "ms": 3.0, "capsize": 2.0, "lw": 0.9, "zorder": 5}
+    look: dict[str, Any] = {"fmt": "o", "color": style.MEASURED, "ms": 3.0, "capsize": 2.0, "lw": 0.9, "zorder": 5}
     axes.errorbar(values, levels, xerr=std, label="measured ± one std", **look)
 
 

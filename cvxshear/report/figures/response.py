@@ -85,11 +85,10 @@ def response_histories(result: RecordPrediction) -> Figure:
     time = result.after.responses[run].time[window]
     figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(floors) + 0.9)
     for axes, floor in zip(style.panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
-        own = np.array([floor])
         if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
             axes.plot(time, driven.responses[window, column], color=style.MEASURED, lw=1.8, label="measured")
-        after = seen(model, result.after.responses[run], own)[window, 0]
+        after = seen(model, result.after.responses[run], np.array([floor]))[window, 0]
         band = NORMAL_95 * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set(title=f"floor {floor}", ylabel="m/s²")
@@ -292,9 +291,8 @@ def _swaying(result: LoopResult) -> Iterator[Json]:
 @animations.register
 def _swaying_records(*results: ModalResult) -> Iterator[Json]:
     """Move the measured modes, each as the first record that has it shows it."""
-    first = results[0]
+    first, caption = results[0], "The measured modes at the floors with sensors."
     if first.sensors:
-        caption = "The measured modes, as far as the sensors tell the motions of the floors."
         yield _moving_plans(first.sensors, first.mode_shapes, first.modes, first.frequencies, caption)
         return
     found = {
@@ -303,7 +301,7 @@ def _swaying_records(*results: ModalResult) -> Iterator[Json]:
         for mode, frequency, shape in zip(each.modes.tolist(), each.frequencies, each.mode_shapes, strict=True)
         if np.array_equal(each.floors, first.floors)
     }
-    yield _moving_frames(found, first.floors, "The measured modes at the floors with sensors.")
+    yield _moving_frames(found, first.floors, caption)
 
 
 def _moving_frames(found: dict[int, tuple[float, Floats]], levels: Floats | Ints, caption: str) -> Json:
