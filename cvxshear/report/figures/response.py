@@ -174,7 +174,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     """
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
-    peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
+    peaks, band = factor * result.peaks.values[name], factor * NORMAL_95 * result.peaks.std[name]
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     middle = 0.5 * (levels[1:] + levels[:-1])
@@ -182,9 +182,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     axes = figure.subplots()
     for level in levels:
         axes.axhline(level, color=style.GREY, lw=0.8, zorder=0)
-    axes.errorbar(
-        peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed"
-    )
+    axes.errorbar(peaks, middle, xerr=band, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed")
     axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted")
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
@@ -192,12 +190,10 @@ def story_drifts(result: Reconstruction) -> Figure:
         said = f"{100 * abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
         axes.annotate(said, at, (0, 4), textcoords="offset points", fontsize=7)
     sensors = levels[np.asarray(result.recording.floors)]
-    axes.plot(
-        np.zeros(len(sensors)), sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor"
-    )
+    axes.plot(0 * sensors, sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor")
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
-            if 100 * limit < 2 * float(np.max(peaks + NORMAL_95 * std)):
+            if 100 * limit < 2 * float(np.max(peaks + band)):
                 axes.axvline(100 * limit, color=style.GREY, ls=":", lw=1)
                 axes.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     axes.set_xlim(left=0)
