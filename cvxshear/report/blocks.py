@@ -12,6 +12,8 @@ from functools import singledispatch
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from cvxshear.util.quantities import capital
+
 if TYPE_CHECKING:
     from cvxshear.util.typing import Floats
 
@@ -248,10 +250,24 @@ class Section:
     appendix: bool = False
 
 
+#: Attribute with the content of each kind of block.
+CONTENT = {"sentence": "text", "points": "texts", "facts": "pairs", "table": "rows"}
+
+
 def section(key: str, title: str, *parts: Block | str, **options: bool) -> Section:
-    """Make a section; a text stands for a sentence, and the options are those of `Section`."""
+    """Make a section of the blocks that are not empty; a text stands for a sentence, the options are of `Section`."""
     blocks = (Sentence(part) if isinstance(part, str) else part for part in parts)
-    return Section(key, title, tuple(blocks), **options)
+    return Section(key, title, tuple(each for each in blocks if getattr(each, CONTENT[each.kind])), **options)
+
+
+def sentences(texts: Iterable[str]) -> tuple[str, ...]:
+    """Write texts as sentences: a capital letter first, a full stop last."""
+    return tuple(f"{capital(text)}." for text in texts)
+
+
+def warnings(texts: Iterable[str]) -> Iterator[Sentence]:
+    """Make a warning of each text."""
+    return (Sentence(text, "warning") for text in texts)
 
 
 @dataclass(frozen=True)

@@ -62,22 +62,15 @@ def verdict_section(result: LoopResult) -> blocks.Section:
 
 def limits_section(result: LoopResult) -> blocks.Section:
     """List the fits that did not converge, the remaining residuals, and the undetermined quantities."""
-    parts: list[blocks.Block] = []
-    for step in result.steps:
-        fit = step.estimate.fit
-        if not fit.converged:
-            said = f"NOT CONVERGED: {step.action} ({fit.reason}). Its numbers are where the fit stopped."
-            parts.append(blocks.Sentence(said, "warning"))
-    if result.remains:
-        parts += [blocks.Sentence("The residual sits in:", "warning"), blocks.Points("remains", result.remains)]
+    stopped = ((step.action, step.estimate.fit.reason) for step in result.steps if not step.estimate.fit.converged)
+    said = [f"NOT CONVERGED: {action} ({why}). Its numbers are where the fit stopped." for action, why in stopped]
+    said += ["The residual sits in:"] if result.remains else []
     # Of floors that turn, the table of the frame says it.
     left = () if result.experiment.frame.turns else result.estimate.undetermined
     known = [f"Not determined: {identified.in_words(names)}" for names in left]
-    known += [quantities.capital(text) for text in identified.generous_noise(result.estimate.quality)]
-    known += [quantities.capital(text) for text in result.information]
-    if known:
-        parts.append(blocks.Points("untold", tuple(f"{text}." for text in known)))
-    return blocks.section("limits", "What is left open", *parts)
+    known += [*identified.generous_noise(result.estimate.quality), *result.information]
+    points = blocks.Points("remains", result.remains), blocks.Points("untold", blocks.sentences(known))
+    return blocks.section("limits", "What is left open", *blocks.warnings(said), *points)
 
 
 #: A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N).
@@ -188,19 +181,15 @@ def effects_section(result: LoopResult) -> blocks.Section:
     """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
         return blocks.section("effects", "Effects added", "None was added to the model.")
-    title = "The effect found" if len(result.effects) == 1 else "Effects found"
-    caption = "Effects that were added to the shear model"
-    parts: list[blocks.Block] = []
+    title, caption, doubt = "Effects found", "Effects that were added to the shear model", ""
     if result.provisional:
         title, caption = "Provisional effects", "Effects that survive while a residual is left"
         among = "the probabilities are among causes that were tried, none of which explains the data"
-        said = f"None of them counts as found, as long as a residual is left: {among}."
-        parts.append(blocks.Sentence(said, "warning"))
+        doubt = f"None of them counts as found, as long as a residual is left: {among}."
     rows = (row for item in result.effects for row in _with_rivals(item))
-    parts.append(blocks.table_of_rows("effects-table", caption, ("effect", "probability"), rows))
-    if remarks := [f"{item.placed.label}: {remark}" for item in result.effects for remark in item.remarks]:
-        parts.append(blocks.Points("remarks", tuple(remarks)))
-    return blocks.section("effects", title, *parts)
+    table = blocks.table_of_rows("effects-table", caption, ("effect", "probability"), rows)
+    remarks = tuple(f"{item.placed.label}: {remark}" for item in result.effects for remark in item.remarks)
+    return blocks.section("effects", title, *blocks.warnings([doubt]), table, blocks.Points("remarks", remarks))
 
 
 def _with_rivals(item: AddedEffect) -> Iterator[tuple[str, str]]:
@@ -216,18 +205,12 @@ def effect_sections(result: LoopResult) -> Iterator[blocks.Section]:
     """Describe each effect in full: its meaning, formula and parameters."""
     for place, item in enumerate(result.effects, 1):
         kind, facts = item.placed.effect, [("formula", item.placed.effect.formula)]
-        for name, unit in _parameters(result, item):
+        for name, unit in zip(item.parameters, item.placed.units(result.experiment), strict=True):
             written = quantities.per_force if "N" in unit.partition("/")[2] else quantities.with_std
             facts.append((name.replace("_", " "), written(item.parameters[name], item.std[name], unit)))
         facts += [("probability", quantities.chance(item.probability)), ("source of the formula", kind.source)]
         title, parts = quantities.capital(item.placed.label), (kind.summary, blocks.Facts(tuple(facts)))
         yield blocks.section(f"effect-{place}", title, *parts, detail=True, below=True)
-
-
-def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, str]]:
-    """Yield the names and units of the parameters of an effect."""
-    names = (parameter.name for parameter in item.placed.effect.parameters)
-    return zip(names, item.placed.units(result.experiment), strict=True)
 
 
 def effects_table(result: LoopResult) -> blocks.Table:
@@ -236,7 +219,7 @@ def effects_table(result: LoopResult) -> blocks.Table:
     for item in result.effects:
         place, effect = item.placed.place, item.placed.effect.name.replace("_", " ")
         where = effect, place.floor, place.story, place.part, place.test or place.state
-        for name, unit in _parameters(result, item):
+        for name, unit in zip(item.parameters, item.placed.units(result.experiment), strict=True):
             rows.append((*where, name.replace("_", " "), unit, item.parameters[name], item.std[name]))
     names = ("effect", "floor", "story", "part", "configuration", "parameter", "unit", "value", "std")
     values = zip(*rows, strict=True) if rows else [()] * len(names)
@@ -248,8 +231,6 @@ def effects_table(result: LoopResult) -> blocks.Table:
 def candidates_section(result: LoopResult) -> blocks.Section:
     """Tabulate all candidates with their prior and posterior probabilities."""
     found = result.candidates
-    if not found:
-        return blocks.section("candidates", "What was looked for", below=True)
     tried = f"counting that {len(found)} were tried"
     title = f"The most probable first (p: of such a gain in chi-square by chance, {tried})"
     table = blocks.table("candidates-table", title, {
@@ -266,8 +247,8 @@ def candidates_section(result: LoopResult) -> blocks.Section:
         for item in found
         if (names := item.confounded_with)
     ]
-    points = [blocks.Points("confounded", tuple(alike))] if alike else []
-    return blocks.section("candidates", "What was looked for, and how probable it is", table, *points, below=True)
+    points = blocks.Points("confounded", tuple(alike))
+    return blocks.section("candidates", "What was looked for, and how probable it is", table, points, below=True)
 
 
 Writer = Callable[[Sequence[float | None]], list[str]]
@@ -349,8 +330,8 @@ def _std(item: Deviation) -> str:
 def not_considered(result: LoopResult) -> blocks.Section:
     """List the effects that the data cannot tell, and what would tell them."""
     rows = [[text.replace("_", " ") for text in pair] for pair in result.not_considered.items()]
-    tables = [blocks.table_of_rows("not-looked-for", "", ("effect", "needs"), rows, words=(0, 1))] if rows else []
-    return blocks.section("not-considered", "What was not looked for", *tables, below=True, appendix=True)
+    table = blocks.table_of_rows("not-looked-for", "", ("effect", "needs"), rows, words=(0, 1))
+    return blocks.section("not-considered", "What was not looked for", table, below=True, appendix=True)
 
 
 def _next(result: LoopResult, units: quantities.Units) -> str:

@@ -29,7 +29,7 @@ def method_in_words(result: ModalResult) -> str:
 @blocks.describe.register
 def _modes(result: ModalResult) -> blocks.Document:
     how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty_in_words}."
-    findings = (blocks.Sentence(f"{capital(each.kind)}: {each.message}", "warning") for each in result.findings)
+    findings = blocks.warnings(f"{capital(each.kind)}: {each.message}" for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
     sections = (blocks.section("modes", "Modes", how, *findings, _table(result), *shapes),)
     count, floors = len(result.frequencies), np.unique(result.floors).tolist()
@@ -96,7 +96,7 @@ def amplitude_section(results: Sequence[ModalResult]) -> blocks.Section:
             trends.append(f"mode {mode} by {with_std(100 * change, 100 * std, factor=1.0)} %")
     said = f"A tenfold motion changes the frequency of {listed(trends)}." if trends else ""
     table = blocks.table("amplitude", "Modes over the amplitude of the motion", cells)
-    return blocks.section("amplitude", "", *table.folded(blocks.PAGE_COLUMNS), *filter(None, [said]))
+    return blocks.section("amplitude", "", *table.folded(blocks.PAGE_COLUMNS), said)
 
 
 def poles_table(result: ModalResult) -> blocks.Table:
@@ -140,11 +140,11 @@ def _shapes(result: ModalResult) -> blocks.Table:
 
 @blocks.describe.register
 def _screening(result: Screening) -> blocks.Document:
-    accepted = [f"accepted beforehand: {', '.join(result.accepted)}"] if result.accepted else []
+    accepted = f"accepted beforehand: {', '.join(result.accepted)}" if result.accepted else ""
     parts = [part for item in result.findings for part in _finding(item)]
     for said in result.record:
         parts += [blocks.Sentence(f"RECORD: {said.kind}", "warning"), blocks.Facts((("  found", said.message),))]
-    findings = blocks.section("findings", "", *accepted, *parts)
+    findings = blocks.section("findings", "", accepted, *parts)
     mistakes = sum(item.refuses for item in result.findings)
     numbers = {"mistake": mistakes, "doubt": len(result.findings) - mistakes, "remark": len(result.record)}
     summary = listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
@@ -163,4 +163,4 @@ def _finding(item: FileFinding) -> Iterator[blocks.Block]:
 def doubts_section(found: Sequence[FileFinding]) -> blocks.Section:
     """List the warnings of a computed result, one line each."""
     said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
-    return blocks.section("doubts", "", *(blocks.Sentence(each, "warning") for each in said))
+    return blocks.section("doubts", "", *blocks.warnings(said))

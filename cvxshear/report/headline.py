@@ -8,7 +8,7 @@ from cvxshear.loop import LoopResult
 from cvxshear.loop.hypotheses import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
 from cvxshear.loop.results import VERDICTS, AddedEffect, by_part
-from cvxshear.report.blocks import Section, table_of_rows
+from cvxshear.report.blocks import Section, section, table_of_rows
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std
 
@@ -39,11 +39,10 @@ def in_doubt(result: LoopResult) -> bool:
 
 def numbering_section(result: LoopResult) -> Section:
     """Tabulate the probabilities of the numberings; without parts if the mode numbers were certain."""
-    if len(result.numberings) == 1 and not result.numberings[0].changes:
-        return Section("numbering", "", ())
-    rows = ((numbers_in_words(item.changes), chance(item.probability)) for item in result.numberings)
+    doubtful = [item for item in result.numberings if item.changes or len(result.numberings) > 1]
+    rows = ((numbers_in_words(item.changes), chance(item.probability)) for item in doubtful)
     title, head = "Which modes of the frame were measured", ("numbering", "probability")
-    return Section("numbering", "Which modes these are", (table_of_rows("numberings", title, head, rows),))
+    return section("numbering", "Which modes these are", table_of_rows("numberings", title, head, rows))
 
 
 def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
@@ -102,10 +101,9 @@ def headline(result: LoopResult) -> str:
         numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
         moved = change_in_words(result.before.estimate, before.estimate)
         renumbered = f"{numbers}, and with these numbers {moved}; "
+    within = f"within {noise_in_words(result) or 'the stated noise'}"
     if result.estimate.dof <= 0:
         within = "exactly, as it has as many parameters as there are data"
-    else:
-        within = f"within {noise_in_words(result) or 'the stated noise'}"
     model = "the symmetric model" if result.experiment.symmetric else "the shear model"
     if result.assumed:
         model += f" with {listed([placed.label for placed in result.assumed])}"

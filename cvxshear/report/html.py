@@ -65,11 +65,8 @@ def drawings(*results: Any) -> dict[str, Json]:
     moving = {each["name"]: each for each in animations(*results)}
     return moving | {
         entry.name: {
-            "name": entry.name,
-            "title": entry.title,
-            "section": entry.section,
+            **{key: getattr(entry, key) for key in ("name", "title", "section", "alternative")},
             "caption": entry.caption_of(*results),
-            "alternative": entry.alternative,
             # matplotlib has escaped the texts in a drawing.
             "svg": Markup(style.inline_svg(entry.draw(*results), entry.name)),
             "moves": False,

@@ -55,8 +55,12 @@ def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[st
     yield "story heights", "not declared" if frame.story_heights is None else each_or_all(frame.story_heights, "m")
     if frame.total_mass_placeholder:
         yield "total mass", "not given: 1 stands for it, and masses and stiffnesses are relative to it"
+    elif frame.known_total:
+        factor, unit = units.of_mass([frame.known_total])
+        off = "" if frame.total_mass_std is None else f" ± {100 * frame.total_mass_std:g} %"
+        yield "total mass", f"{frame.known_total / factor:g} {unit}{off}, without added mass"
     else:
-        yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
+        yield "total mass", "not declared"
     if frame.reference is not None:
         yield "reference state", frame.reference
     for test in experiment.configurations:
@@ -68,14 +72,6 @@ def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[st
         yield "known beforehand", prior.describe().replace("_", " ")
     for expected in experiment.expected:
         yield "expected beforehand", expected.name.replace("_", " ")
-
-
-def _total(experiment: Experiment, units: quantities.Units) -> str:
-    total = experiment.frame.known_total
-    assert total is not None
-    factor, unit = units.of_mass([total])
-    off = "" if experiment.frame.total_mass_std is None else f" ± {100 * experiment.frame.total_mass_std:g} %"
-    return f"{total / factor:g} {unit}{off}"
 
 
 def _test(each: Configuration, mass: tuple[float, str]) -> tuple[str, ...]:
@@ -95,9 +91,7 @@ def _noise(each: Configuration) -> str:
 def _added(mass: Floats, factor: float, unit: str) -> str:
     """Write the added mass and its floors."""
     floors = [int(place) + 1 for place in np.flatnonzero(mass)]
-    if not floors:
-        return "none"
-    return f"{mass.sum() / factor:g} {unit} on {quantities.numbered('floor', floors)}"
+    return f"{mass.sum() / factor:g} {unit} on {quantities.numbered('floor', floors)}" if floors else "none"
 
 
 def each_or_all(values: Floats, unit: str) -> str:
@@ -166,8 +160,8 @@ def turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
         return
     if frame.unseen:
         unseen = quantities.listed(frame.unseen)
-        yield blocks.Sentence(
-            f"No sensor sees {unseen}: the floors are taken as symmetric, so that it moves by itself.", "warning"
+        yield from blocks.warnings(
+            [f"No sensor sees {unseen}: the floors are taken as symmetric, so that it moves by itself."]
         )
     for group in frame.undetermined:
         yield blocks.Sentence(f"Not determined: {in_words(group)}.", "warning")
@@ -259,14 +253,13 @@ def generous_noise(fit: results.Quality) -> Iterator[str]:
     ----------
     fit : Quality
     """
-    if fit.p_value is None or fit.p_value <= 1 - RULED_OUT:
-        return
-    size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
-    yield (
-        f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either they "
-        "are too large, and so are those of masses and stiffnesses, or they include errors that all data share, such "
-        "as the calibration of a sensor; those that 'modes' writes do"
-    )
+    if fit.p_value is not None and fit.p_value > 1 - RULED_OUT:
+        size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
+        yield (
+            f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either "
+            "they are too large, and so are those of masses and stiffnesses, or they include errors that all data "
+            "share, such as the calibration of a sensor; those that 'modes' writes do"
+        )
 
 
 def _chi_square(fit: results.Quality) -> str:
@@ -277,19 +270,20 @@ def _chi_square(fit: results.Quality) -> str:
 @blocks.describe.register
 def _identification(result: results.Identification) -> blocks.Document:
     units = units_for(result.experiment)
-    sections = [declared(result.experiment, units)]
-    sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
-    sections.append(other_frames_section(result, units))
-    if result.undetermined:
-        open_ones = [blocks.Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
-        sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
+    open_ones = blocks.warnings(f"Not determined: {in_words(names)}." for names in result.undetermined)
+    sections = (
+        declared(result.experiment, units),
+        *(part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)),
+        other_frames_section(result, units),
+        blocks.section("undetermined", "What these data cannot tell", *open_ones),
+    )
     predicted = [item for part in result.parts for item in part.predictions]
     data = frames_table(result), frequencies_table(result.experiment, predicted)
     title, stories = result.experiment.name, quantities.counted(result.experiment.stories, "story")
     worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
     ended = "" if result.converged else ", not converged"
     line = f"{title}: {result.method}, {stories}, largest frequency error {worst}{ended}"
-    return blocks.Document(title, _identification_headline(result), tuple(sections), data, line)
+    return blocks.Document(title, _identification_headline(result), sections, data, line)
 
 
 def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:
@@ -355,26 +349,24 @@ def part_section(
         # A value with its deviation takes half as much again of the width; floors come first, then stories.
         *frame.folded(2 * blocks.PAGE_COLUMNS // 3),
         *turning_words(part.frame),
-        *_bounds(part),
+        *blocks.warnings(_bounds(part)),
         *_prices(part, place, units),
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
         _fit(part),
-        *(blocks.Sentence(f"{quantities.capital(text)}.", "warning") for text in generous_noise(part.fit)),
+        *blocks.warnings(blocks.sentences(generous_noise(part.fit))),
     ]
     return blocks.section(f"part-{place}", title, *parts)
 
 
-def _bounds(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
+def _bounds(part: results.SingleIdentification) -> Iterator[str]:
     """Warn of parameters that a bound holds."""
-    at_bounds = part.frame.at_bounds
-    if at_bounds:
-        are, them = ("is", "it") if len(at_bounds) == 1 else ("are", "them")
-        yield blocks.Sentence(
-            f"{quantities.capital(in_words(at_bounds))} {are} at a bound, a declared one or the least that counts as "
-            f"positive; the data alone would have {them} beyond it. That is no measurement, and the other standard "
-            "deviations hold only as far as the bound is true.",
-            "warning",
+    if part.frame.at_bounds:
+        are = "is" if len(part.frame.at_bounds) == 1 else "are"
+        yield (
+            f"{quantities.capital(in_words(part.frame.at_bounds))} {are} at a bound, a declared one or the least that "
+            "counts as positive; the data alone lead beyond it. That is no measurement, and the other standard "
+            "deviations hold only as far as the bound is true."
         )
 
 

@@ -1,7 +1,7 @@
 """Describe predicted and reconstructed responses, and write their time series."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -22,17 +22,14 @@ Moved = RecordPrediction | Reconstruction
 
 @blocks.describe.register
 def _damping(result: IdentifiedDamping) -> blocks.Document:
-    remarks = (blocks.Sentence(each, "warning") for each in result.remarks)
     headline = f"{result.kind} damping of {quantities.counted(len(result.ratios), 'mode')}"
-    return blocks.Document("damping", headline, (damping_section(result), blocks.section("remarks", "", *remarks)))
-
-
-def damping_section(result: IdentifiedDamping) -> blocks.Section:
-    """Tabulate the damping ratios of the modes, and the dashpots or Rayleigh factors if they exist."""
-    return blocks.section("damping", "Damping", *_damping_parts(result))
+    remarks = blocks.section("remarks", "", *blocks.warnings(result.remarks))
+    damping = blocks.section("damping", "Damping", *_damping_parts(result))
+    return blocks.Document("damping", headline, (damping, remarks))
 
 
 def _damping_parts(result: IdentifiedDamping) -> Iterator[blocks.Block]:
+    """Tabulate the damping ratios of the modes, and the dashpots or Rayleigh factors if they exist."""
     measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
     numbers = [str(number) for number in range(1, len(result.ratios) + 1)]
     yield blocks.table("damping-ratios", f"damping ({result.kind})", {
@@ -59,18 +56,15 @@ def _written(values: Floats, std: Floats, factor: float | None = None) -> list[s
 def _prediction(result: RecordPrediction) -> blocks.Document:
     model = result.after.fitted.label_in(result.configuration)
     how = f"{_driven(result)}, by the {model}, {result.damping.kind} damping, backend {result.backend}"
-    sections = [blocks.section("how", "", how)]
-    if result.after.comparison is not None:
-        before = None if result.otherwise_before is None else result.otherwise_before.comparison
-        sections.append(blocks.section("errors", "Beside the record", errors(before, result.after.comparison)))
-    remarks = (blocks.Sentence(remark, "warning") for remark in result.remarks)
-    sections += [
+    sections = (
+        blocks.section("how", "", how),
+        blocks.section("errors", "Beside the record", *errors(result)),
         blocks.section("peaks", "Peaks", *_peak_parts(result)),
-        damping_section(result.damping),
-        blocks.section("remarks", "", *remarks),
-    ]
+        blocks.section("damping", "Damping", *_damping_parts(result.damping)),
+        blocks.section("remarks", "", *blocks.warnings(result.remarks)),
+    )
     title, headline = result.after.fitted.experiment.name, quantities.capital("; ".join(_predicted(result)))
-    return blocks.Document(title, headline, tuple(sections), tuple(_peak_data(result.peaks)))
+    return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks)))
 
 
 def _peak_data(found: Peaks, *more: blocks.Column) -> Iterator[blocks.Table]:
@@ -104,19 +98,26 @@ def _largest_drift(found: Peaks) -> str:
     return f"story {top + 1} drifts most: {size}"
 
 
-def _driven(result: RecordPrediction) -> str:
-    """Name the frame, its state and the excitation."""
-    motion = result.motion
-    seconds = sum(run.samples for run in motion.runs) / motion.sampling_rate
-    driven = "base motion" if motion.input == "base" else "a force"
+def _driven(result: Moved) -> str:
+    """Name the frame, its state, the excitation, and the floors that a reconstruction starts from."""
+    if isinstance(result, Reconstruction):
+        fitted, record = result.fitted, result.recording
+        seen = f", from {quantities.numbered('floor', record.floors.tolist())}"
+    else:
+        fitted, record, seen = result.after.fitted, result.motion, ""
+    driven = "base motion" if record.input == "base" else "a force"
     return (
-        f"{result.after.fitted.experiment.name} ({result.configuration.name}) under {driven} of {motion.name}: "
-        f"{seconds:.1f} s at {motion.sampling_rate:g} Hz"
+        f"{fitted.experiment.name} ({result.configuration.name}) under {driven} of {record.name}{seen}: "
+        f"{record.seconds:.1f} s at {record.sampling_rate:g} Hz"
     )
 
 
-def errors(before: RecordComparison | None, after: RecordComparison) -> blocks.Table:
+def errors(result: RecordPrediction) -> Iterator[blocks.Table]:
     """Tabulate the errors of each floor's acceleration for one or both models, the top floor first."""
+    after, other = result.after.comparison, result.otherwise_before
+    if after is None:
+        return
+    before = other.comparison if other is not None else None
     modes = min(after.frf_error.shape[1], blocks.PAGE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
@@ -128,10 +129,8 @@ def errors(before: RecordComparison | None, after: RecordComparison) -> blocks.T
     )
     transfer = (f"H, mode {mode}" for mode in range(1, modes + 1))
     head = ("floor", *(("model",) if before is not None else ()), "error in time", "rms", "peak", *transfer)
-    words = (0,) if before is None else (0, 1)
-    return blocks.table_of_rows(
-        "prediction-errors", "predicted accelerations beside the measured", head, rows, words=words
-    )
+    title, words = "predicted accelerations beside the measured", (0,) if before is None else (0, 1)
+    yield blocks.table_of_rows("prediction-errors", title, head, rows, words=words)
 
 
 def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
@@ -163,7 +162,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
         # One table of all peaks would be too wide for a page.
         cells = _written(result.peaks.values["story_drift_ratio"], result.peaks.std["story_drift_ratio"], 0.01)
         columns = {"story": [str(story) for story in range(1, len(cells) + 1)], "% of height": cells}
-        columns |= dict(_limit_chances(result))
+        columns |= {f"P(> {name})": _chances(each) for name, _, each in _passed(result)}
         yield blocks.table("prediction-drift-ratios", "peak drift ± standard deviation", columns, top_first=True)
     if result.after.fitted.covariance is None:
         return
@@ -186,42 +185,24 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
 
 @blocks.describe.register
 def _reconstruction(result: Reconstruction) -> blocks.Document:
-    warnings, frame = (blocks.Sentence(each, "warning") for each in _sentences(result.warnings)), result.frame
+    warnings, frame = blocks.warnings(blocks.sentences(result.warnings)), result.frame
     motion = (*_sensor_drifts(result), stories(result), *peaks(result.peaks))
-    checks = [blocks.section("checks", "Each sensor from the others", left_out(result))] if result.checks else []
     sections = (
-        blocks.section("findings", "", *warnings, _reconstructed(result)),
-        *checks,
+        blocks.section("findings", "", *warnings, _driven(result)),
+        blocks.section("checks", "Each sensor from the others", left_out(result)),
         blocks.section("motion", "What the stories did", *motion),
         blocks.section("frame", "The frame in this record", *_frame_parts(result)),
         blocks.section("evidence", "Sensors", sensors(result)),
-        blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", _sentences(result.remarks))),
+        blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", blocks.sentences(result.remarks))),
     )
     more = [
         blocks.exact("story_factor", frame.factors, frame.factors_std),
         blocks.exact("change_probability", frame.story_probability),
         blocks.exact("dashpot_probability", frame.dashpot_probability),
+        *(blocks.exact(f"probability_beyond_{name}", each) for name, _, each in _passed(result)),
     ]
-    if result.passed is not None and result.limits is not None:
-        chances = zip(result.limits.names, result.passed, strict=True)
-        more += [blocks.exact(f"probability_beyond_{name}", each) for name, each in chances]
     title, headline = result.fitted.experiment.name, quantities.capital("; ".join(_findings(result)))
     return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks, *more)))
-
-
-def _sentences(texts: Iterable[str]) -> tuple[str, ...]:
-    return tuple(f"{quantities.capital(each)}." for each in texts)
-
-
-def _reconstructed(result: Reconstruction) -> str:
-    """Name the frame, the measured floors and the excitation."""
-    floors = quantities.numbered("floor", result.recording.floors.tolist())
-    words = {"base": "base motion", "force": "a force"}
-    driven = words[result.recording.input]
-    return (
-        f"{result.fitted.experiment.name} ({result.configuration.name}) under {driven} of {result.recording.name}, "
-        f"from {floors}: {result.recording.seconds:.1f} s at {result.recording.sampling_rate:g} Hz"
-    )
 
 
 def _findings(result: Reconstruction) -> Iterator[str]:
@@ -294,19 +275,17 @@ def _sensor_drifts(result: Reconstruction) -> Iterator[blocks.Table]:
 
 def _limits(result: Moved) -> Iterator[str]:
     """Name the stories that exceeded each limit."""
-    if result.limits is None or result.passed is None:
-        return
-    for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
-        sure = [int(story) + 1 for story in np.flatnonzero(chances >= quantities.SURE)]
-        unsure = (chances > 1 - quantities.SURE) & (chances < quantities.SURE)
-        open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
+    for word, limit, chances in _passed(result):
+        possible, certain = chances > 1 - quantities.SURE, chances >= quantities.SURE
+        sure, open_ = (np.flatnonzero(each) + 1 for each in (certain, possible & ~certain))
         label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
         unknown = bool(np.isnan(chances).any())
         passed = "cannot be told" if unknown else "passed in no story"
-        if sure:
+        if sure.size:
             elsewhere = ", elsewhere that cannot be told" if unknown else ""
-            passed = f"passed in {quantities.numbered('story', sure)}{elsewhere}"
-        yield f"limit {label}: {passed}" + (f", possibly in {quantities.numbered('story', open_)}" if open_ else "")
+            passed = f"passed in {quantities.numbered('story', sure.tolist())}{elsewhere}"
+        perhaps = f", possibly in {quantities.numbered('story', open_.tolist())}" if open_.size else ""
+        yield f"limit {label}: {passed}{perhaps}"
 
 
 def left_out(result: Reconstruction) -> blocks.Table:
@@ -335,16 +314,15 @@ def stories(result: Reconstruction) -> blocks.Table:
         "by prediction": [quantities.significant(value, 3) for value in predicted.tolist()],
         "stiffness / identified": _written(frame.factors, frame.factors_std, 1.0),
         "changed by itself": _chances(unknown if result.change_probability is None else result.change_probability),
+        **{f"P(> {name})": _chances(each) for name, _, each in _passed(result)},
     }
-    columns |= dict(_limit_chances(result))
     return blocks.table("reconstructed-stories", "peak drift ± standard deviation", columns, top_first=True)
 
 
-def _limit_chances(result: Moved) -> Iterator[tuple[str, list[str]]]:
-    """Yield a column for each limit: the probability that each story passed it."""
+def _passed(result: Moved) -> Iterator[tuple[str, float, Floats]]:
+    """Yield the name of each limit, the limit, and the probability that each story passed it."""
     if result.passed is not None and result.limits is not None:
-        for limit, each in zip(result.limits.names, result.passed, strict=True):
-            yield f"P(> {limit})", _chances(each)
+        yield from zip(result.limits.names, result.limits.story_drift.tolist(), result.passed, strict=True)
 
 
 def _chances(probabilities: Floats) -> list[str]:

@@ -22,7 +22,7 @@ from cvxshear.util.typing import Floats
 
 @blocks.describe.register
 def _history(result: History) -> blocks.Document:
-    skipped = (blocks.Sentence(f"skipped: {each}", "warning") for each in result.skipped)
+    skipped = blocks.warnings(f"skipped: {each}" for each in result.skipped)
     sections = (
         blocks.section("changes", "Changes of stiffness", *_changes(result), *skipped),
         blocks.section("tests", "The tests", *history_data(result).folded(blocks.PAGE_COLUMNS)),
@@ -57,7 +57,7 @@ def _changes(result: History) -> Iterator[blocks.Block | str]:
         words = tuple(place for place, head in enumerate(told) if head not in ("change of stiffness", "probability"))
         yield blocks.table("changes-table", "", told, words=words)
     yield f"It rests on {result.loop.rests_on[0]}; masses are the same in all tests."
-    yield from (f"{quantities.capital(each)}." for each in result.loop.information)
+    yield from blocks.sentences(result.loop.information)
 
 
 def history_data(result: History) -> blocks.Table:
@@ -95,13 +95,12 @@ def _plan(result: Plan) -> blocks.Document:
         "mode": [str(each["mode"]) for each in result.expected_modes],
         "frequency, Hz": quantities.significants([each["frequency"] for each in result.expected_modes]),
     })  # fmt: skip
-    floors = ", ".join(map(str, result.sensors))
     everywhere = len(result.sensors) == design.stories
-    where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
+    where = "every floor" if everywhere else quantities.numbered("floor", result.sensors)
     headline = f"Measure {where} in {quantities.counted(len(result.tests), 'test')}, for {result.goal}."
     sections = [
         blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
-        blocks.section("tests", "The tests", modes, added_masses(result), *grid(result)),
+        blocks.section("tests", "The tests", modes, added_masses(result), grid(result)),
         blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
     return blocks.Document(design.name, headline, tuple(sections), (floors_data(result),))
@@ -142,24 +141,21 @@ def remedies(result: Plan) -> blocks.Table:
     }, words=(0,))  # fmt: skip
 
 
-def other_frames(result: Plan) -> list[blocks.Block]:
+def other_frames(result: Plan) -> Iterator[blocks.Sentence]:
     """Say that several frames will fit the planned tests, and which further test tells them apart."""
     others, relative = result.other_frames, result.model.design.frame.total_mass_placeholder
-    if not others.frames or result.objective >= UNKNOWN_STD:
-        return []
-    remedy = "Shapes at two floors or more tell them apart."
-    if others.next_test is not None:
-        test = put_more(others.next_test, quantities.Units(relative=relative))
-        remedy = f"{test} to tell them apart, or measure shapes at two floors or more."
-    said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design. {remedy}"
-    return [blocks.Sentence(said, "warning")]
+    if others.frames and result.objective < UNKNOWN_STD:
+        remedy = "Shapes at two floors or more tell them apart."
+        if others.next_test is not None:
+            test = put_more(others.next_test, quantities.Units(relative=relative))
+            remedy = f"{test} to tell them apart, or measure shapes at two floors or more."
+        said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design. {remedy}"
+        yield blocks.Sentence(said, "warning")
 
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    unknown = f"open, {quantities.percent(UNKNOWN_STD, 0)} or more"
-    value = unknown if result.objective >= UNKNOWN_STD else quantities.percent(result.objective)
-    said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {value}"
+    said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {_value(result.objective)}"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.floors_arbitrary:
@@ -168,22 +164,20 @@ def sure(result: Plan) -> str:
         return f"{said}; every choice of as many floors was looked at, none is better"
     if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
-    if result.bound >= UNKNOWN_STD:
-        return f"{said}; no choice of as many floors is better than open"
     gap = "" if result.objective >= UNKNOWN_STD else f" (gap {quantities.percent(result.gap, 1)})"
-    return f"{said}; no choice of as many floors is below {quantities.percent(result.bound)}{gap}"
+    return f"{said}; no choice of as many floors is better than {_value(result.bound)}{gap}"
 
 
-def grid(result: Plan) -> list[str]:
+def grid(result: Plan) -> str:
     """State the bound on tests from the grid of added masses, if the masses were chosen."""
     if result.of_grid is None:
-        return []
+        return ""
     if result.of_grid.arbitrary:
-        return ["Every choice of added masses gives the same within 1 %: the masses named are arbitrary."]
-    return [
+        return "Every choice of added masses gives the same within 1 %: the masses named are arbitrary."
+    return (
         "With these sensors, no tests with the largest added mass or half of it, on one floor, all floors or either "
         f"half of them, get below {_value(result.of_grid.bound)}."
-    ]
+    )
 
 
 def added_masses(result: Plan) -> blocks.Table:
@@ -347,12 +341,12 @@ def note(result: NoiseStudy) -> str:
 
 @blocks.describe.register
 def _comparison(result: Comparison) -> blocks.Document:
-    without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
+    without = f"Without the paper's programs: {result.left_out}." if result.left_out else ""
     tables = (part for kind in result.kinds for part in _kind(result, kind))
     backends = quantities.counted(len({row.backend for row in result.rows}), "backend")
     headline = f"{result.experiment}: {backends} on {quantities.counted(len(result.kinds), 'kind')} of programs"
     sections = (
-        blocks.section("programs", "Programs", *without, *tables),
+        blocks.section("programs", "Programs", without, *tables),
         blocks.section("worst", "All programs", worst(result)),
     )
     return blocks.Document(result.experiment, headline, sections)
@@ -380,8 +374,8 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
         "time, ms": ["–" if row.seconds is None else f"{1e3 * row.seconds:.{decimals}f}" for row in solved],
         "time / kkt": ["–" if row.relative_time is None else f"{row.relative_time:.1f}" for row in solved],
     })  # fmt: skip
-    if failures := tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure):
-        yield blocks.Points(f"failures-{name}", failures)
+    failures = (f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
+    yield blocks.Points(f"failures-{name}", tuple(failures))
 
 
 def _power(value: float | None, digits: int = 2) -> str:
@@ -397,14 +391,12 @@ def programs(kind: ProgramKind) -> str:
 
 def worst(result: Comparison) -> blocks.Table:
     """Tabulate the worst figures of each backend over all programs that the backend accepts."""
-    rows_of: dict[str, list[BackendResult]] = {}
-    for row in result.rows:
-        rows_of.setdefault(row.backend, []).append(row)
-    every = list(rows_of.values())
+    backends = dict.fromkeys(row.backend for row in result.rows)
+    every = [[row for row in result.rows if row.backend == backend] for backend in backends]
     *_, bound = FIGURES_OF_BACKENDS
     residuals = [key for head, key in FIGURES_OF_BACKENDS.items() if head not in ("difference", bound)]
     return blocks.table("backends-table", "Worst figures of each backend over all programs", {
-        "backend": rows_of,
+        "backend": backends,
         "programs solved": [
             f"{sum(row.programs for row in rows if not row.failure)} of {sum(row.programs for row in rows)}"
             for rows in every

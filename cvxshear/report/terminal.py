@@ -90,11 +90,9 @@ def _least(column: Sequence[str], wraps: bool) -> int:
     return max(min(cells, NARROWEST), header) if wraps else max(cells, header)
 
 
-def plain_table(
-    title: str, *columns: str, words: tuple[int, ...] = (0,), rows: Iterable[Sequence[str]] = ()
-) -> HouseTable:
+def plain_table(title: str, *head: str, rows: Iterable[Sequence[str]], words: tuple[int, ...] = (0,)) -> HouseTable:
     """Lay out a table in the house style: words to the left, numbers to the right, no box."""
-    return HouseTable(table_of_rows("", title, columns, rows, words=words))
+    return HouseTable(table_of_rows("", title, head, rows, words=words))
 
 
 STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
@@ -178,11 +176,10 @@ def sheets_of(*results: object) -> list[Sheet]:
     from cvxshear.io.spreadsheets import Sheet  # noqa: PLC0415 - the formats of files load slowly
 
     sheets = []
-    for result in results:
-        for each in describe(result).data:
-            columns = [(column.spelled(name), values) for column in each.columns for name, values in column.exported]
-            rows = list(zip(*(values for _, values in columns), strict=True))
-            sheets.append(Sheet(each.key, tuple(header for header, _ in columns), rows))
+    for each in (table for result in results for table in describe(result).data):
+        columns = [(column.spelled(name), values) for column in each.columns for name, values in column.exported]
+        rows = list(zip(*(values for _, values in columns), strict=True))
+        sheets.append(Sheet(each.key, tuple(header for header, _ in columns), rows))
     return sheets
 
 

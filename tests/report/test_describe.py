@@ -125,7 +125,7 @@ def test_a_provisional_effect_is_never_told_as_found(paper):
     said = terminal.text(found, width=1000)
     assert said.startswith("UNEXPLAINED: a significant residual is left in mode 2 of Structure 1; provisionally, ")
     assert "Provisional effects" in said
-    assert "The effect found" not in said
+    assert "Effects found" not in said
     assert "None of them counts as found" in said
 
 

@@ -1,7 +1,5 @@
 """Draw charts: histories over many tests, and scatter under noise."""
 
-from collections.abc import Iterable
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -34,21 +32,21 @@ def changes_over_time(result: History) -> Figure:
     tests = result.loop.experiment.configurations
     dated = all(each.date is not None for each in tests)
     at = np.array([each.date for each in tests], dtype="datetime64[s]") if dated else np.arange(1, len(tests) + 1)
-    stiffness = {f"story {i}": each for i, each in enumerate(result.story_stiffness.T, 1)}
-    groups = [("frequency", {f"mode {mode}": each for mode, each in result.by_mode("frequencies").items()})]
-    groups.append(("story stiffness", stiffness))
-    groups.append(("damping ratio", {f"mode {mode}": each for mode, each in result.by_mode("damping_ratios").items()}))
-    groups = [(label, dict(list(lines.items())[: len(style.MARKERS) - 1])) for label, lines in groups if lines]
+    every = (
+        ("frequency", "mode", result.by_mode("frequencies")),
+        ("story stiffness", "story", dict(enumerate(result.story_stiffness.T, 1))),
+        ("damping ratio", "mode", result.by_mode("damping_ratios")),
+    )
+    groups = [(label, word, list(lines.items())[: len(style.MARKERS) - 1]) for label, word, lines in every if lines]
     figure = style.new_figure(style.PAGE_WIDTH, 1.75 * len(groups) + 0.5)
-    for axes, (label, lines) in zip(style.panels(figure, len(groups), 1, sharex=True), groups, strict=True):
-        for place, ((name, values), look) in enumerate(zip(lines.items(), style.looks(len(lines)), strict=True)):
-            mean = float(np.nanmean(values))
-            std = None
-            if lines is groups[1][1]:
-                std = 100 * result.story_stiffness_std[:, place] / mean
-                axes.plot(at, 100 * (result.fitted[:, place] / mean - 1.0), color=look["color"], lw=1.0)
-            dots = {key: look[key] for key in ("color", "marker")}
-            axes.errorbar(at, 100 * (values / mean - 1.0), yerr=std, ls="none", ms=3.5, lw=0.7, label=name, **dots)
+    for axes, (label, word, lines) in zip(style.panels(figure, len(groups), 1, sharex=True), groups, strict=True):
+        for (number, values), look in zip(lines, style.looks(len(lines)), strict=True):
+            mean, std = float(np.nanmean(values)), None
+            if word == "story":
+                std = 100 * result.story_stiffness_std[:, number - 1] / mean
+                axes.plot(at, 100 * (result.fitted[:, number - 1] / mean - 1.0), color=look["color"], lw=1.0)
+            dots = {**look, "ls": "none", "ms": 3.5, "lw": 0.7, "label": f"{word} {number}"}
+            axes.errorbar(at, 100 * (values / mean - 1.0), yerr=std, **dots)
         axes.set_ylabel(f"{label},\nchange in %")
         axes.grid(visible=True, axis="y")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
@@ -74,20 +72,20 @@ def noise_variation(study: NoiseStudy) -> Figure:
     Figure
         One panel for each mass and stiffness, over the noise level.
     """
-    groups = _by_method(study)
-    first = next(iter(groups.values()))
-    figure, drawn, levels = _panels_of(first, "coefficient of\nvariation, %")
+    figure, drawn, levels, groups = _panels(study, "coefficient of\nvariation, %")
     for parameter, axes in enumerate(drawn):
-        for method, look in _styles(groups).items():
-            axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **look)
-        bound = [100 * each.relative_bound[parameter] for each in first]
+        for place, ((method, scatters), look) in enumerate(zip(groups.items(), style.looks(len(groups)), strict=True)):
+            values = [100 * each.variation[parameter] for each in scatters]
+            # Every other marker is hollow.
+            axes.plot(levels, values, label=method, mfc="white" if place % 2 else look["color"], **look)
+        bound = [100 * each.relative_bound[parameter] for each in next(iter(groups.values()))]
         # A single level has no line: a dash marks its bound.
         axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), marker="_", ms=9.0, label="Cramér-Rao bound")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
         axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
         axes.grid()
-    style.legend(figure, drawn[0])
+    style.legend(figure)
     return figure
 
 
@@ -107,16 +105,21 @@ def noise_boxes(study: NoiseStudy) -> Figure:
     Figure
         Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
     """
-    groups = _by_method(study)
-    first = next(iter(groups.values()))
-    figure, drawn, levels = _panels_of(first, "error, %")
+    figure, drawn, levels, groups = _panels(study, "error, %")
     # The gap between two noise levels is as wide as a box.
     width = 1 / (len(groups) + 1)
     for parameter, axes in enumerate(drawn):
         axes.axhline(0, color="black", lw=0.7)
         for place, scatters in enumerate(groups.values()):
             at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
-            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
+            boxes = axes.boxplot(
+                [100 * each.errors[:, parameter] for each in scatters], positions=at, widths=0.85 * width,
+                patch_artist=True, manage_ticks=False,
+                medianprops={"color": "black", "lw": 1.2}, whiskerprops={"lw": 0.7}, capprops={"lw": 0.7},
+                flierprops={"marker": ".", "ms": 1.5, "mec": "#555555", "alpha": 0.5},
+            )  # fmt: skip
+            for box in boxes["boxes"]:
+                box.set(alpha=0.8, linewidth=0.7, **_filling(place))
         axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
         axes.set_xlim(-0.6, len(levels) - 0.4)
         axes.grid(axis="y")
@@ -125,20 +128,20 @@ def noise_boxes(study: NoiseStudy) -> Figure:
     return figure
 
 
-def _by_method(study: NoiseStudy) -> dict[str, list[Scatter]]:
-    """Select the scatters of each method over the noise levels of one frame."""
-    chosen = study.scatters
-    if len({(each.setup.name, each.setup.stories) for each in chosen}) > 1:
+def _panels(study: NoiseStudy, label: str) -> tuple[Figure, list[Axes], list[float], dict[str, list[Scatter]]]:
+    """Make one panel for each mass and stiffness, masses first; return the noise levels, %, and each method's scatters.
+
+    The study has one frame.
+    """
+    if len({(each.setup.name, each.setup.stories) for each in study.scatters}) > 1:
         raise InputError("a figure shows one frame: give a study whose setups differ in their noise alone")
-    ordered = sorted(chosen, key=lambda each: [item.method for item in chosen].index(each.method))
-    return {method: list(group) for method, group in groupby(ordered, key=lambda each: each.method)}
-
-
-def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes], list[float]]:
-    """Make one panel for each mass and stiffness, masses first, and return the noise levels, %."""
-    numbers = range(1, scatters[0].setup.stories + 1)
+    groups: dict[str, list[Scatter]] = {}
+    for each in study.scatters:
+        groups.setdefault(each.method, []).append(each)
+    setups = [each.setup for each in next(iter(groups.values()))]
+    numbers = range(1, setups[0].stories + 1)
     names = [f"{quantity} {number}" for quantity in ("floor mass", "story stiffness") for number in numbers]
-    rows, columns = style.grid_of(len(names), 3 if scatters[0].setup.stories % 4 else 4)
+    rows, columns = style.grid_of(len(names), 3 if setups[0].stories % 4 else 4)
     figure = style.new_figure(style.PAGE_WIDTH, 1.75 * rows + 0.8)
     drawn = style.panels(figure, len(names), columns, sharex=True)
     for place, (axes, name) in enumerate(zip(drawn, names, strict=True)):
@@ -146,24 +149,7 @@ def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes],
         if place % columns == 0:
             axes.set_ylabel(label)
     figure.supxlabel("standard deviation of a mode-shape entry, %", fontsize=8.5)
-    return figure, drawn, [100 * each.setup.mode_shape_std for each in scatters]
-
-
-def _styles(methods: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Choose colour, marker and line of each method; every other marker is hollow."""
-    names = list(methods)
-    every = zip(names, style.looks(len(names)), strict=True)
-    return {name: {**look, "mfc": "white" if i % 2 else look["color"]} for i, (name, look) in enumerate(every)}
-
-
-def _boxes(axes: Axes, samples: list[np.ndarray], at: np.ndarray, width: float, place: int) -> None:
-    boxes = axes.boxplot(
-        samples, positions=at, widths=0.85 * width, patch_artist=True, manage_ticks=False,
-        medianprops={"color": "black", "lw": 1.2}, whiskerprops={"lw": 0.7}, capprops={"lw": 0.7},
-        flierprops={"marker": ".", "ms": 1.5, "mec": "#555555", "alpha": 0.5},
-    )  # fmt: skip
-    for box in boxes["boxes"]:
-        box.set(alpha=0.8, linewidth=0.7, **_filling(place))
+    return figure, drawn, [100 * each.mode_shape_std for each in setups], groups
 
 
 def _filling(place: int) -> dict[str, Any]:

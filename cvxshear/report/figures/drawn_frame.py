@@ -78,30 +78,14 @@ def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) ->
 # Figure of the located effects.
 
 
-def _findings_caption(result: LoopResult) -> str:
-    shown, tested = len(_shown_states(result)), len(result.experiment.states)
-    more = f" Of {tested} states {shown} are drawn, those of which most is sure." if 1 < shown < tested else ""
-    marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place."
-    numbers = "Floor masses without added mass and story stiffnesses are averages over all sets of effects."
-    measured = any(len(each.measured_floors) for each in result.experiment.configurations)
-    sensors = " Triangles: floors with a sensor." if measured else ""
-    heights = "equal stories, as no heights are declared" if result.experiment.frame.elevations is None else "to scale"
-    return (
-        f"The frame, {heights}; a slab is the thicker the heavier its floor, a column the wider the stiffer its "
-        f"story. {marks if result.effects else numbers}{sensors}{more}"
-    )
-
-
-@style.figure(
-    "findings",
-    LoopResult,
-    title="What was found, and where",
-    caption=_findings_caption,
-    section="verdict",
-    **style.OF_ONE_MOTION,
-)
+@style.figure("findings", LoopResult, title="What was found, and where", section="verdict", **style.OF_ONE_MOTION)
 def findings(result: LoopResult) -> Figure:
     """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
+
+    The frame, heights to scale if declared; a slab is the thicker the heavier its floor, a column the wider the stiffer
+    its story. Masses without added mass and stiffnesses are averages over all sets of effects. Triangles: floors with a
+    sensor. Orange: what was found, with its size and probability; dashed: what may be there in its place. Of many
+    states those are drawn of which most is sure.
 
     Parameters
     ----------
@@ -122,11 +106,10 @@ def findings(result: LoopResult) -> Figure:
     height = float(np.clip(max(result.experiment.stories * 0.36, lines * style.LINE), 1.9, 6.5))
     drawn = style.new_figure(style.PAGE_WIDTH if columns > 1 else 5.4, rows * (height + 0.7))
     every = style.panels(drawn, len(states), columns, sharey=True)
-    for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
+    for axes, state, each in zip(every, states, marks, strict=True):
         _state(axes, result, state, each, height)
-        if place % columns:
-            axes.set_ylabel("")
-            axes.tick_params(axis="y", labelleft=False)
+    for axes in every[::columns]:
+        axes.set_ylabel(elevations(result.experiment)[1])
     return drawn
 
 
@@ -162,14 +145,13 @@ class _Mark:
 def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]:
     """Collect the marks for the drawing of a state; effects of all states are marked in the first drawing."""
     sure = not result.provisional
-    tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
     for item in result.effects:
         place, rivals = item.placed.place, item.rivals[:NAMED]
         if place.state == state or (first and place.state is None):
             said = [item.size if sure else f"provisional: {item.size}", f"{chance(item.probability)} probable"]
             said += [f"or: {rival.placed.label} ({chance(rival.probability)})" for rival in rivals]
-            found.append(_Mark(item.placed, _wrapped(said), sure, tied.get(id(item), ())))
+            found.append(_Mark(item.placed, _wrapped(said), sure, _joined(item, result.experiment)))
         else:
             found += [
                 _Mark(each.placed, _wrapped([f"or here: {each.placed.label} ({chance(each.probability)})"]), sure=False)
@@ -179,23 +161,13 @@ def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]
     return found
 
 
-def networks(result: LoopResult) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
-    """Find the effects with springs between levels, each with the level pairs of its parameters in order."""
-    known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
-    return [
-        (item, [known[name] for name in item.parameters])
-        for item in result.effects
-        if set(item.parameters) <= set(known) and set(item.placed.units(result.experiment)) == {"N/m"}
-    ]
-
-
-def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Find the pairs of levels with springs above `STANDS_OUT` standard deviations."""
-    return tuple(
-        place
-        for place, name in zip(places, item.parameters, strict=True)
-        if abs(item.parameters[name]) > STANDS_OUT * (item.std[name] or np.inf)
-    )
+def _joined(item: AddedEffect, experiment: Experiment) -> tuple[tuple[int, int], ...]:
+    """Find the pairs of levels that an effect joins by springs above `STANDS_OUT` standard deviations."""
+    known = {named_pair(i, j): (i, j) for i, j in pairs(experiment.stories, ground=True)}
+    if not set(item.parameters) <= set(known) or set(item.placed.units(experiment)) != {"N/m"}:
+        return ()
+    sure = (name for name, value in item.parameters.items() if abs(value) > STANDS_OUT * (item.std[name] or np.inf))
+    return tuple(known[name] for name in sure)
 
 
 def _wrapped(texts: Sequence[str]) -> str:
@@ -204,7 +176,7 @@ def _wrapped(texts: Sequence[str]) -> str:
 
 
 def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_Mark], height: float) -> None:
-    z, label = elevations(result.experiment)
+    z, _ = elevations(result.experiment)
     at = _, right = 0.10, 0.34
     _structure(axes, result.averaged, z, at)
     _sensors(axes, result.experiment, state, z, at)
@@ -229,7 +201,6 @@ def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_M
     if state is not None and not heading.casefold().startswith("state"):
         heading = f"state {heading}"
     axes.set_title(heading if state is None or not found else f"{heading}: {counted(found, 'finding')}", weight="bold")
-    axes.set_ylabel(label)
 
 
 def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, at: Columns) -> None:
@@ -423,10 +394,7 @@ def plans(result: Identification | LoopResult) -> Figure:
             if item.placed.place.story == floor + 1 and "change" in item.parameters:
                 _changed_sides(axes, outline, item)
         axes.set_title(f"floor {floor + 1}", fontsize=7.5)
-    # One entry of the legend for all sensors, and for all sides.
-    entries = [axes.get_legend_handles_labels() for axes in panels]
-    kept = {label: handle for handles, labels in entries for handle, label in zip(handles, labels, strict=True)}
-    drawn.legend(kept.values(), kept.keys(), loc="outside upper center", ncols=len(kept))
+    style.legend(drawn)
     return drawn
 
 

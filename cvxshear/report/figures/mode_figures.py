@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogFormatter
 
 from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import Sweep, scaled_to_one
-from cvxshear.records.prepare import Functions
 from cvxshear.records.result import band_of, over_amplitude, synthesized
 from cvxshear.report.figures import drawn_frame, style
 from cvxshear.report.from_records import method_in_words
@@ -105,13 +101,11 @@ def mac_tables(result: LoopResult | Identification) -> list[tuple[str, Floats]]:
         gains = {model.state.tested.name: model.state.gain for model in result.estimate.fit.at.models}
     else:
         found, gains = tuple(item for part in result.parts for item in part.predictions), {}
-    experiment = result.experiment
     shown = {item.configuration: item.mode_shapes * gains.get(item.configuration, 1.0) for item in found}
-    return [(name, _mac(experiment, name, modelled)) for name, modelled in shown.items()]
+    return [(each.name, _mac(each, shown[each.name])) for each in result.experiment.configurations]
 
 
-def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
-    configuration = next(each for each in experiment.configurations if each.name == name)
+def _mac(configuration: Configuration, modelled: Floats) -> Floats:
     model = modelled[:, configuration.measured_floors - 1]
     table = np.full((len(configuration.frequencies), len(model)), np.nan)
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
@@ -121,8 +115,9 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     return table
 
 
-#: Line style of the shear model's shape.
+#: Line styles of the shapes of the shear model beside a final model, and of the only or final model.
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
+FINAL: dict[str, Any] = {"color": style.AFTER, "lw": 1.6}
 
 
 @style.figure("shapes", LoopResult, title="Mode shapes", section="shapes", **style.OF_ONE_MOTION)
@@ -143,17 +138,16 @@ def shapes(result: LoopResult) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    z, label = drawn_frame.elevations(result.experiment)
+    (z, label), changed = drawn_frame.elevations(result.experiment), len(result.steps) > 1
     figure, groups = _shape_panels(counts, label, "sway (largest measured entry = 1)", z)
     for axes, first, last in zip(itertools.chain(*groups), before, after, strict=True):
-        lines = [(last.modelled, {"color": style.AFTER, "lw": 1.6})]
-        if len(result.steps) > 1:
-            lines.append((first.modelled, SHEAR))
-        _shape(axes, z, lines, (last.measured, z[last.floors - 1], last.std))
+        _modelled_line(axes, last.modelled, z, label="with effects" if changed else "shear model", **FINAL)
+        if changed:
+            _modelled_line(axes, first.modelled, z, label="shear model", **SHEAR)
+        _measured_dots(axes, last.measured, z[last.floors - 1], last.std)
         name = style.letters(last.configuration, 16)
         axes.set_title(f"{name}\nmode {last.mode}: {last.frequency:#.4g} Hz", fontsize=7.5)
-    handles = _legend(changed=len(result.steps) > 1)
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    style.legend(figure)
     return figure
 
 
@@ -180,25 +174,14 @@ def _shape_panels(
     return figure, groups
 
 
-def _shape(
-    axes: Axes,
-    levels: Floats | Ints,
-    lines: Sequence[tuple[Floats, dict[str, Any]]],
-    measured: tuple[Floats, Floats | Ints, Floats | None],
-) -> None:
-    """Draw shapes from the ground up over the levels, and measured values over their heights with one deviation."""
-    for shape, look in lines:
-        axes.plot(np.concatenate([[0.0], shape]), np.concatenate([[0.0], levels]), **look)
-    values, heights, std = measured
-    axes.errorbar(values, heights, xerr=std, fmt="o", color=style.MEASURED, ms=3.0, capsize=2.0, lw=0.9, zorder=5)
+def _modelled_line(axes: Axes, shape: Floats, levels: Floats | Ints, **look: Any) -> None:
+    """Draw a shape from the ground up."""
+    axes.plot(np.concatenate([[0.0], shape]), np.concatenate([[0.0], levels]), **look)
 
 
-def _legend(*, changed: bool) -> list[Line2D]:
-    return [
-        Line2D([], [], color=style.MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
-        *([Line2D([], [], label="shear model", **SHEAR)] if changed else []),
-        Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
-    ]
+def _measured_dots(axes: Axes, values: Floats, levels: Floats | Ints, std: Floats | None) -> None:
+    look: dict[str, Any] = {"fmt": "o", "color": style.MEASURED, "ms": 3.0, "capsize": 2.0, "lw": 0.9, "zorder": 5}
+    axes.errorbar(values, levels, xerr=std, label="measured ± one std", **look)
 
 
 #: Largest number of modes for a matrix with numbers in its cells.
@@ -208,13 +191,11 @@ MOST_NUMBERED = 8
 def _mac_caption(result: LoopResult | Identification) -> str:
     stories = result.experiment.stories
     seen = min(len(each.measured_floors) for each in result.experiment.configurations if len(each.measured_floors))
-    said = "A light diagonal means that every mode was recognised."
-    if seen < stories:
-        said += f" At {seen} of {stories} floors different modes look alike, so that other entries are large too."
-    first = (
-        "The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every"
+    alike = f" At {seen} of {stories} floors different modes look alike, so that other entries are large too."
+    return (
+        "The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every "
+        f"mode of the model. A light diagonal means that every mode was recognised.{alike if seen < stories else ''}"
     )
-    return f"{first} mode of the model. {said}"
 
 
 @style.figure(
@@ -239,31 +220,24 @@ def mac(result: LoopResult | Identification) -> Figure:
     Figure
         Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """
-    modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
-    every, tables = list(range(1, result.experiment.stories + 1)), mac_tables(result)
+    tested, every = result.experiment.configurations, range(1, result.experiment.stories + 1)
     most = 3 if len(every) <= 4 else 2
-    rows, columns = style.grid_of(len(tables), most)
+    rows, columns = style.grid_of(len(tested), most)
     side = style.PAGE_WIDTH / most
     figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = style.panels(figure, len(tables), columns)
-    for axes, (name, table) in zip(drawn, tables, strict=True):
-        image = _matrix(axes, table, modes[name], every)
+    drawn = style.panels(figure, len(tested), columns)
+    for axes, test, (name, table) in zip(drawn, tested, mac_tables(result), strict=True):
+        image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
+        step = 1 if len(every) <= 10 else 2
+        axes.set_xticks(range(0, len(every), step), list(map(str, every[::step])))
+        axes.set_yticks(range(0, len(table), step), list(map(str, test.modes[::step])))
         axes.set(title=style.letters(name), xlabel="mode of the model", ylabel="measured mode")
+        axes.tick_params(length=0)
+        axes.spines[["left", "bottom"]].set_visible(False)
+        if len(every) <= MOST_NUMBERED:
+            _numbers(axes, table)
     figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
     return figure
-
-
-def _matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
-    """Draw a MAC matrix with its mode numbers, and with its values if the cells are large enough."""
-    image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
-    step = 1 if len(columns) <= 10 else 2
-    axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
-    axes.set_yticks(range(0, len(rows), step), [str(mode) for mode in rows[::step]])
-    axes.tick_params(length=0)
-    axes.spines[["left", "bottom"]].set_visible(False)
-    if len(columns) <= MOST_NUMBERED:
-        _numbers(axes, table)
-    return image
 
 
 def _numbers(axes: Axes, table: Floats) -> None:
@@ -327,7 +301,7 @@ def stabilization(*results: ModalResult) -> Figure:
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
         axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
-    style.legend(figure, figure.axes[0])
+    style.legend(figure)
     return figure
 
 
@@ -346,12 +320,10 @@ def _poles(axes: Axes, sweep: Sweep) -> None:
 
 def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     """Write vertical labels of modes above the poles, without overlaps, each with a line to its pole."""
-    frequencies: Floats = result.frequencies
     end = axes.get_xlim()[1]
     gap = end * style.LINE / inches
-    for mode, frequency, x in zip(
-        result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
-    ):
+    places = style.spread(result.frequencies, gap, gap / 2, end - gap / 2)
+    for mode, frequency, x in zip(result.modes, result.frequencies, places, strict=True):
         axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=style.AFTER, lw=0.6, alpha=0.6)
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
@@ -387,9 +359,7 @@ def modes_over_amplitude(*results: ModalResult) -> Figure:
         below.plot(at, 100 * damping, **dots)
     above.set_ylabel("frequency,\nchange in %")
     below.set(ylabel="damping, %", xlabel="largest motion (SI)", xscale="log")
-    below.xaxis.set_major_formatter(LogFormatter())
-    below.xaxis.set_minor_formatter(LogFormatter())
-    style.legend(figure, above, 3)
+    style.legend(figure, 3)
     return figure
 
 
@@ -437,7 +407,8 @@ def functions(*results: ModalResult) -> Figure:
     groups = style.panels_by_group(figure, counts, columns)
     for result, seen, drawn in zip(results, every, groups, strict=True):
         made = synthesized(result)
-        drawn[0].set_ylabel(_named(seen), fontsize=7)
+        name = FUNCTIONS[seen.quantity] if seen.inputs[0] else f"{seen.quantity} / base acceleration"
+        drawn[0].set_ylabel(name, fontsize=7)
         shown = band_of(seen.frequencies, result.frequencies)
         strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
         lines = seen.frequencies[shown]
@@ -446,30 +417,15 @@ def functions(*results: ModalResult) -> Figure:
             axes.plot(lines, measured, color="black", lw=0.8, label="measured")
             axes.plot(lines, modelled, color=style.BEFORE, ls="--", lw=1.1, label="of the modes")
             axes.set_yscale("log")
-            # Names may contain dollars, so that no text is parsed as a formula.
-            axes.yaxis.set_major_formatter(LogFormatter())
-            axes.yaxis.set_minor_formatter(LogFormatter())
             for frequency in result.frequencies:
                 axes.axvline(float(frequency), color=style.GREY, lw=0.5, alpha=0.6, zorder=0)
-            title = f"floor {seen.floors[output]}{_against(seen, int(column))}"
-            name = f"{style.letters(result.name, 20)}\n" if len(results) > 1 else ""
-            axes.set_title(f"{name}{title}", fontsize=7.5)
+            at, name = seen.inputs[column], f"{style.letters(result.name, 20)}\n" if len(results) > 1 else ""
+            force = f"\nforce at floor {at}" if at else ""
+            axes.set_title(f"{name}floor {seen.floors[output]}{force}", fontsize=7.5)
             axes.grid(axis="y")
             axes.tick_params(labelsize=7)
-    style.legend(figure, groups[0][0], 2)
+    style.legend(figure, 2)
     return figure
-
-
-def _against(seen: Functions, column: int) -> str:
-    """Name the reference of a function; empty for the ground."""
-    floor = int(seen.inputs[column])
-    return f"\nforce at floor {floor}" if floor else ""
-
-
-def _named(seen: Functions) -> str:
-    if not seen.inputs[0]:
-        return f"{seen.quantity} / base acceleration"
-    return FUNCTIONS[seen.quantity]
 
 
 @style.figure(
@@ -502,7 +458,8 @@ def modal_shapes(*results: ModalResult) -> Figure:
             shape = _facing(result, scaled_to_one(result.mode_shapes[row]), facing, int(mode))
             stds, frequency_std = result.written_entry_std[row], float(result.written_frequency_std[row])
             known = stds if np.all(np.isfinite(stds)) else None
-            _shape(axes, result.floors, [(shape, {"color": style.AFTER})], (shape, result.floors, known))
+            _modelled_line(axes, shape, result.floors, color=style.AFTER)
+            _measured_dots(axes, shape, result.floors, known)
             std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
             frequency = f"{result.frequencies[row]:#.4g} Hz{std}"
             axes.set_title(f"{style.letters(result.name, 18)}\nmode {mode}\n{frequency}", fontsize=7)

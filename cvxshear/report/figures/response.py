@@ -19,7 +19,7 @@ from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.predicted import RESPONSES
 from cvxshear.util import ranking
-from cvxshear.util.quantities import NORMAL_95, listed, scaled, significant, significants
+from cvxshear.util.quantities import NORMAL_95, scaled, significant, significants
 from cvxshear.util.typing import Floats, Ints, Json
 
 #: Number of periods of the first mode in a time history; more periods would blur the lines.
@@ -38,12 +38,12 @@ def _spread(places: Ints, largest: int) -> Ints:
     return np.asarray(chosen[::-1], dtype=np.int64)
 
 
-def _left_out(shown: int, total: int, word: str, where: str) -> str:
-    """State the number of floors or stories without a panel, and where all are listed; empty if all are drawn."""
+def _left_out(shown: int, total: int, word: str) -> str:
+    """State the number of floors or stories without a panel; empty if all are drawn."""
     if shown >= total:
         return ""
     verb = "is" if total - shown == 1 else "are"
-    return f" {total - shown} of {total} {word} {verb} not drawn, but never that of the largest peak; {where}."
+    return f" {total - shown} of {total} {word} {verb} not drawn, never that of the largest peak; the tables have all."
 
 
 def _floors(result: RecordPrediction) -> Ints:
@@ -62,7 +62,7 @@ def _floors(result: RecordPrediction) -> Ints:
         "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
         "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
         "where the record has them, measured."
-        + _left_out(len(_floors(result)), len(result.after.damped.model.M), "floors", "the table of peaks has all")
+        + _left_out(len(_floors(result)), len(result.after.damped.model.M), "floors")
     ),
     section="peaks",
 )
@@ -85,16 +85,15 @@ def response_histories(result: RecordPrediction) -> Figure:
     time = result.after.responses[run].time[window]
     figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(floors) + 0.9)
     for axes, floor in zip(style.panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
-        own = np.array([floor])
         if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
             axes.plot(time, driven.responses[window, column], color=style.MEASURED, lw=1.8, label="measured")
-        after = seen(model, result.after.responses[run], own)[window, 0]
+        after = seen(model, result.after.responses[run], np.array([floor]))[window, 0]
         band = NORMAL_95 * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set(title=f"floor {floor}", ylabel="m/s²")
     axes.set_xlabel("time, s")
-    style.legend(figure, axes, left=True)
+    style.legend(figure, left=True)
     return figure
 
 
@@ -154,22 +153,16 @@ def response_peaks(result: RecordPrediction) -> Figure:
     every[0].set_ylabel("floor / story")
     every[0].yaxis.set_major_locator(MaxNLocator(min(n, 12), integer=True))
     every[0].set_ylim(0.5, n + 0.5)
-    style.legend(figure, every[0], left=True)
+    style.legend(figure, left=True)
     return figure
 
 
-@style.figure(
-    "drifts",
-    Reconstruction,
-    title="Drift of every story",
-    caption=lambda result: (
-        f"Peak drift of each story with bars that hold 95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, "
-        f"and the limits; {_changes(result)}. Triangles mark the floors with sensors."
-    ),
-    section="findings",
-)
+@style.figure("drifts", Reconstruction, title="Drift of every story", section="findings")
 def story_drifts(result: Reconstruction) -> Figure:
     """Peak drift of each story over the height; the numbers are in the table of the stories.
+
+    Peak drift of each story with bars that hold 95 %, the prediction that looks at no sensor, and the limits. A story
+    that changed by itself has its change against the others. Triangles mark the floors with sensors.
 
     Parameters
     ----------
@@ -181,7 +174,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     """
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
-    peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
+    peaks, band = factor * result.peaks.values[name], factor * NORMAL_95 * result.peaks.std[name]
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     middle = 0.5 * (levels[1:] + levels[:-1])
@@ -189,26 +182,24 @@ def story_drifts(result: Reconstruction) -> Figure:
     axes = figure.subplots()
     for level in levels:
         axes.axhline(level, color=style.GREY, lw=0.8, zorder=0)
-    axes.errorbar(
-        peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed"
-    )
+    axes.errorbar(peaks, middle, xerr=band, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed")
     axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted")
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
-        axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)
+        change = float(result.frame.against_others[0][story - 1])
+        said = f"{100 * abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
+        axes.annotate(said, at, (0, 4), textcoords="offset points", fontsize=7)
     sensors = levels[np.asarray(result.recording.floors)]
-    axes.plot(
-        np.zeros(len(sensors)), sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor"
-    )
+    axes.plot(0 * sensors, sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor")
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
-            if 100 * limit < 2 * float(np.max(peaks + NORMAL_95 * std)):
+            if 100 * limit < 2 * float(np.max(peaks + band)):
                 axes.axvline(100 * limit, color=style.GREY, ls=":", lw=1)
                 axes.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     axes.set_xlim(left=0)
     axes.set_xlabel(f"peak drift, {unit}")
     axes.set_ylabel("elevation, m" if result.model.heights is not None else "story (no heights declared)")
-    style.legend(figure, axes, left=True)
+    style.legend(figure, left=True)
     return figure
 
 
@@ -218,9 +209,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     title="Drifts over time",
     caption=lambda result: (
         "Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%."
-        + _left_out(
-            len(_drawn_stories(result)), len(result.model.M), "stories", "the table of the stories has the peaks of all"
-        )
+        + _left_out(len(_drawn_stories(result)), len(result.model.M), "stories")
     ),
     section="frame",
 )
@@ -245,22 +234,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set(title=f"story {story}", ylabel="mm")
     axes.set_xlabel("time, s")
-    style.legend(figure, axes, left=True)
+    style.legend(figure, left=True)
     return figure
-
-
-def _change(result: Reconstruction, story: int) -> str:
-    """Write the change of a story's stiffness against the identified one, such as "12 % softer"."""
-    change = 100 * float(result.frame.against_others[0][story - 1])
-    return f"{abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
-
-
-def _changes(result: Reconstruction) -> str:
-    """Name the changed stories with their changes."""
-    if not result.frame_fitted:
-        return "whether a story changed was not asked"
-    said = [f"story {each} is {_change(result, each)} than identified, against the others" for each in result.changed]
-    return listed(said) if said else "no story is named as changed"
 
 
 def _drawn_stories(result: Reconstruction) -> Ints:
@@ -312,9 +287,8 @@ def _swaying(result: LoopResult) -> Iterator[Json]:
 @animations.register
 def _swaying_records(*results: ModalResult) -> Iterator[Json]:
     """Move the measured modes, each as the first record that has it shows it."""
-    first = results[0]
+    first, caption = results[0], "The measured modes at the floors with sensors."
     if first.sensors:
-        caption = "The measured modes, as far as the sensors tell the motions of the floors."
         yield _moving_plans(first.sensors, first.mode_shapes, first.modes, first.frequencies, caption)
         return
     found = {
@@ -323,7 +297,7 @@ def _swaying_records(*results: ModalResult) -> Iterator[Json]:
         for mode, frequency, shape in zip(each.modes.tolist(), each.frequencies, each.mode_shapes, strict=True)
         if np.array_equal(each.floors, first.floors)
     }
-    yield _moving_frames(found, first.floors, "The measured modes at the floors with sensors.")
+    yield _moving_frames(found, first.floors, caption)
 
 
 def _moving_frames(found: dict[int, tuple[float, Floats]], levels: Floats | Ints, caption: str) -> Json:

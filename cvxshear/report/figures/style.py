@@ -26,7 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import AutoLocator, LogLocator
+from matplotlib.ticker import AutoLocator, LogFormatter, LogLocator
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -109,6 +109,9 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
                     locator.set_params(nbins=MOST_TICKS)
                 elif isinstance(locator, LogLocator):
                     locator.set_params(numticks=MOST_TICKS)
+                    # Names may contain dollars, so that no text is parsed as a formula.
+                    axis.set_major_formatter(LogFormatter())
+                    axis.set_minor_formatter(LogFormatter())
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -163,11 +166,12 @@ def panels_by_group(
     return groups
 
 
-def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool = False) -> None:
-    """Put the legend of one panel's lines on the whole figure, by default in one row."""
-    handles, labels = axes.get_legend_handles_labels()
+def legend(figure: Figure, columns: int | None = None, *, left: bool = False) -> None:
+    """Put a legend with one entry for each label of all panels on the figure, by default in one row."""
+    entries = [axes.get_legend_handles_labels() for axes in figure.axes]
+    kept = {label: handle for handles, labels in entries for handle, label in zip(handles, labels, strict=True)}
     place: Any = "outside upper left" if left else "outside upper center"
-    figure.legend(handles, labels, loc=place, ncols=columns or max(len(labels), 1))
+    figure.legend(kept.values(), kept.keys(), loc=place, ncols=columns or max(len(kept), 1))
 
 
 def looks(count: int) -> list[dict[str, Any]]:
