@@ -186,7 +186,7 @@ def test_what_tells_its_number_is_not_in_question(given):
         ([{"modes": [1, 2, 4], "probability": 1.0}], "must be below 1"),
         ([{"modes": [1, 2, 4], "probability": 0.5}, {"modes": [1, 2, 5], "probability": 0.5}], "add up to 1"),
         ([{"modes": [1, 2, 4], "probability": 0.1}] * 2, "same modes twice"),
-        ([[1, 2, 4]], "a list of tables"),
+        ([[1, 2, 4]], "must be a table"),
     ],
 )
 def test_other_modes_that_cannot_be(value, message):
