@@ -205,12 +205,18 @@ def effect_sections(result: LoopResult) -> Iterator[blocks.Section]:
     """Describe each effect in full: its meaning, formula and parameters."""
     for place, item in enumerate(result.effects, 1):
         kind, facts = item.placed.effect, [("formula", item.placed.effect.formula)]
-        for name, unit in zip(item.parameters, item.placed.units(result.experiment), strict=True):
+        for name, unit in _parameters(result, item):
             written = quantities.per_force if "N" in unit.partition("/")[2] else quantities.with_std
             facts.append((name.replace("_", " "), written(item.parameters[name], item.std[name], unit)))
         facts += [("probability", quantities.chance(item.probability)), ("source of the formula", kind.source)]
         title, parts = quantities.capital(item.placed.label), (kind.summary, blocks.Facts(tuple(facts)))
         yield blocks.section(f"effect-{place}", title, *parts, detail=True, below=True)
+
+
+def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, str]]:
+    """Yield the names and units of the parameters of an effect; an open accuracy is none."""
+    names = (parameter.name for parameter in item.placed.effect.parameters)
+    return zip(names, item.placed.units(result.experiment), strict=True)
 
 
 def effects_table(result: LoopResult) -> blocks.Table:
@@ -219,7 +225,7 @@ def effects_table(result: LoopResult) -> blocks.Table:
     for item in result.effects:
         place, effect = item.placed.place, item.placed.effect.name.replace("_", " ")
         where = effect, place.floor, place.story, place.part, place.test or place.state
-        for name, unit in zip(item.parameters, item.placed.units(result.experiment), strict=True):
+        for name, unit in _parameters(result, item):
             rows.append((*where, name.replace("_", " "), unit, item.parameters[name], item.std[name]))
     names = ("effect", "floor", "story", "part", "configuration", "parameter", "unit", "value", "std")
     values = zip(*rows, strict=True) if rows else [()] * len(names)

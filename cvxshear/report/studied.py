@@ -155,7 +155,8 @@ def other_frames(result: Plan) -> Iterator[blocks.Sentence]:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {_value(result.objective)}"
+    unknown = f", {quantities.percent(UNKNOWN_STD, 0)} or more" if result.objective >= UNKNOWN_STD else ""
+    said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {_value(result.objective)}{unknown}"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.floors_arbitrary:
