@@ -7,9 +7,11 @@ the changes and the size of the model's errors of form. The covariance belongs t
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -309,15 +311,18 @@ def fit_frame(
 def _nearer(
     errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
 ) -> Floats:
-    """Return the most probable frame of a linearized likelihood, with the noise of p; p if it has no modes."""
+    """Return the better start: the maximum of a linearized likelihood, or with the noise of p; p if neither has modes.
+
+    The likelihood is linear in the levels of the noise over much smaller steps.
+    """
     nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
-    # The likelihood is linear in the levels of the noise over much smaller steps.
-    nearer[errors.levels] = p[errors.levels]
-    try:
-        errors.model(nearer)
-    except NoModesError:
-        return p
-    return nearer
+    same_noise = nearer.copy()
+    same_noise[errors.levels] = p[errors.levels]
+    found = []
+    for start in (same_noise, nearer):
+        with contextlib.suppress(NoModesError, np.linalg.LinAlgError):
+            found.append((errors.objective(start), start))
+    return min(found, key=itemgetter(0), default=(0.0, p))[1]
 
 
 def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
