@@ -250,12 +250,13 @@ class Backend(ABC):
         program : LeastSquares
         bounded : bool, optional
             Whether the error of each unknown is bounded. An iteration that certifies its last point needs no bounds on
-            its steps, which take half of the time.
+            its steps.
 
         Returns
         -------
         Solution
-            It satisfies every constraint, and each unknown is within `Certificate.errors` of the exact minimizer.
+            It satisfies every constraint. If `bounded`, each unknown is within `Certificate.errors` of the exact
+            minimizer.
 
         Raises
         ------

@@ -61,7 +61,9 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
     hdf5 = b"MATLAB 7.3" in content[:128] or content.startswith(b"\x89HDF")
     h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs") if hdf5 else None
     with reading(where, "a MAT file"), warnings.catch_warnings():
-        warnings.simplefilter("ignore" if hdf5 else "error")
+        if not hdf5:
+            # scipy warns of what a damaged file holds, and reads on.
+            warnings.simplefilter("error")
         stream: Any = BytesIO(content)
         read = _read_hdf5(stream, h5py) if hdf5 else loadmat(stream, simplify_cells=True)
     return columns_of_arrays(read, where)

@@ -142,15 +142,14 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], search: Sear
             starts.append((misfit.evaluate(proposal.starts[-1]), misfit, proposal.starts[-1]))
     starts = ranking.ranked(starts, lambda start: -start[0].objective)
     fitter.fits += 1
-    failure: errors.CvxshearError | None = None
+    failure: errors.CvxshearError = errors.NoModesError("a set of fewer effects has no modes at any starting point")
     # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough there.
-    for (at, misfit, theta), accuracy in (*((each, FULL) for each in starts), (starts[0], ROUGH)):
+    for (at, misfit, theta), accuracy in (*((each, FULL) for each in starts), *((each, ROUGH) for each in starts[:1])):
         by = partial(fitted_with, misfit, theta, accuracy=accuracy, start=at)
         try:
             return with_stand_in(fitter.backend, by)[0]
         except (errors.NoModesError, errors.NoSolutionError) as error:
             failure = error
-    assert failure is not None
     raise failure
 
 

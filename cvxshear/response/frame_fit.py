@@ -322,7 +322,7 @@ def _nearer(
     for start in (same_noise, nearer):
         with contextlib.suppress(NoModesError, np.linalg.LinAlgError):
             found.append((errors.objective(start), start))
-    return min(found, key=itemgetter(0), default=(0.0, p))[1]
+    return min((each for each in found if np.isfinite(each[0])), key=itemgetter(0), default=(0.0, p))[1]
 
 
 def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:

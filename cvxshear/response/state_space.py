@@ -275,15 +275,25 @@ def discretized(rates: Floats, load: Floats, spread: Floats, step: float) -> tup
 
 
 def doubled(A: Floats, Q: Floats) -> Floats:
-    """Solve P = A P A' + Q for a stable A and one or several symmetric Q, by doubling the number of steps."""
+    """Solve P = A P A' + Q for a stable A and one or several symmetric Q, by doubling the number of steps.
+
+    Raises
+    ------
+    LinAlgError
+        If the powers of A grow beyond 64 bits.
+    """
     P, power = Q, A
-    for _ in range(MOST_DOUBLINGS):
-        # One large product for all Q: A P A' is the transpose of P A' times A'.
-        half = (P.reshape(-1, len(A)) @ power.T).reshape(P.shape).swapaxes(-1, -2)
-        P = P + (half.reshape(-1, len(A)) @ power.T).reshape(P.shape)
-        power = power @ power
-        if np.max(np.abs(power)) <= ROUNDING:
-            break
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            for _ in range(MOST_DOUBLINGS):
+                # One large product for all Q: A P A' is the transpose of P A' times A'.
+                half = (P.reshape(-1, len(A)) @ power.T).reshape(P.shape).swapaxes(-1, -2)
+                P = P + (half.reshape(-1, len(A)) @ power.T).reshape(P.shape)
+                power = power @ power
+                if np.max(np.abs(power)) <= ROUNDING:
+                    break
+    except FloatingPointError:
+        raise linalg.LinAlgError("the powers of the transition matrix do not fit into 64 bits") from None
     return 0.5 * (P + P.swapaxes(-1, -2))
 
 

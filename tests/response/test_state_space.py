@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, linalg
 
 from cvxshear.response.innovations import Filter
-from cvxshear.response.state_space import Noise, Setting, discretized, dynamics, recursion
+from cvxshear.response.state_space import Noise, Setting, discretized, doubled, dynamics, recursion
 from tests.frames import chain
 from tests.response.common import straight
 
@@ -127,3 +127,10 @@ def test_the_noise_of_a_step_in_which_a_mode_dies_away_is_what_is_missing_to_its
     P = linalg.solve_continuous_lyapunov(rates, -np.diag([0.0, 0.0, 3.0]))
     np.testing.assert_allclose(Q, P - A @ P @ A.T, rtol=1e-6, atol=1e-12 * np.max(P))
     assert np.min(linalg.eigvalsh(Q)) > -1e-15 * np.max(Q)
+
+
+def test_a_transition_that_grows_without_limit_has_no_covariance():
+    A, Q = np.diag([0.5, 0.9]), np.array([[2.0, 1.0], [1.0, 3.0]])
+    np.testing.assert_allclose(doubled(A, Q), linalg.solve_discrete_lyapunov(A, Q))
+    with pytest.raises(linalg.LinAlgError, match="64 bits"):
+        doubled(1e3 * A, Q)
