@@ -138,15 +138,15 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     """Weigh the changes of a reading; return the frame nearest to it as given, and the changes that are named."""
     N = reading.stories
     frames, even = ShearFrames.of(reading), nearest_frame.even_starts(N)
-    given = frames.likeliest([*even, *frames.story_starts(even[:1])])
-    if needs_no_search(frames, given):
-        return given, []
+    given = frames.likeliest(frames.story_starts(even[:1]) or even)
+    references = [given.theta]
     if frames.distance(given) ** 2 > frames.count:
         odd = frames.nearest(frames.odd_starts(np.zeros(2 * N)))
-        given = ranking.ranked([given, frames.likeliest([odd.theta])], lambda item: item.log_evidence)[0]
-        if needs_no_search(frames, given):
-            return given, []
-    references = even if given.at is None else [*even, given.theta]
+        given = ranking.ranked([given, frames.likeliest([*even, odd.theta])], lambda item: item.log_evidence)[0]
+        # The fit to wrong data may be far from the frame.
+        references = even if given.at is None else [*even, given.theta]
+    if needs_no_search(frames, given):
+        return given, []
     shapes = [NearestFrame(theta).modes for theta in references]
     changes = [change for kind in KINDS for change in kind(replace(reading, part=readings.FARTHER), shapes)]
     misfits = np.array([[nearest_frame.misfit(change.reading, each) for each in shapes] for change in changes])
