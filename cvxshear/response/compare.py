@@ -360,12 +360,23 @@ def readings_of(model: DampedModel, record: DrivenRecord) -> list[DrivenRecord]:
     return [record, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [record]
 
 
+def lasts(model: DampedModel, record: DrivenRecord) -> bool:
+    """Whether a run lasts two periods of the frame.
+
+    A shorter one holds no scatter by which a fit could be judged. A straight line through it is motion.
+    """
+    longest = max(run.samples for run in record.runs) * record.step
+    return bool(longest * model.modes.frequencies[0] >= 2.0)
+
+
 def as_predicted(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
-    """Return a record corrected by the prediction of the identified model.
+    """Return a record corrected by the prediction of the identified model; as it is if it is short (`lasts`).
 
     Channels are inverted if they move opposite to their prediction, and all others, which are the majority, move with
     theirs. Other contradictions are added to the remarks.
     """
+    if not lasts(model, record):
+        return record
     shown = [seen(model, each, record.floors) for each in predicted_responses(model, record)]
     measured = np.concatenate([run.measured - trend(run.measured) for run in record.runs])
     predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)

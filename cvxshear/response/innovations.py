@@ -249,9 +249,11 @@ class PredictionErrors:
         They explain the rms of the first period.
         """
         model, first = self.dynamics(np.zeros(self.size)), self.varied.first_samples(self.setting.step)
-        root, shown = covariance_root(model.P0), np.sum(model.H @ model.P0 * model.H, axis=1)
-        begins = ((np.mean(run.seen[:first] ** 2), np.mean(shown[run.channels])) for run in self.stretches)
-        return [root * float(np.sqrt(moved / stationary)) for moved, stationary in begins]
+        powers = (float(np.mean(run.seen[:first] ** 2)) for run in self.stretches)
+        return [
+            covariance_root(model.start_covariance(power, run.channels))
+            for power, run in zip(powers, self.stretches, strict=True)
+        ]
 
     def _filtered(self, p: Floats) -> list[tuple[Filter, list[tuple[Segment, Floats]]]]:
         """Settle the filter of each set of sensors; return it with the segments of this set and their `spreads`."""

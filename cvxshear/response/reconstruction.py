@@ -21,7 +21,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response import frame_motion, sources
-from cvxshear.response.compare import predicted_responses, readings_of, without_drift
+from cvxshear.response.compare import lasts, predicted_responses, readings_of, without_drift
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_prior import GAIN_STDS
@@ -359,6 +359,7 @@ def reconstruct(
     if len({run.floor for run in recorded.runs}) > 1:
         raise InputError(f"{recorded.name}: the force acts on several floors; reconstruct these runs one by one")
     identified = frame.centre.model
+    detrend = detrend and lasts(identified, recorded)
     readings = readings_of(identified, without_drift(identified, recorded) if detrend else recorded)
     done, parts = itertools.count(1), 2 + (len(recorded.floors) if leave_out else 0)
 
@@ -400,8 +401,8 @@ def _motion(
 ) -> tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
-    The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
-    ends at an implausible frame, the motion is the identified frame's.
+    The motion is the fitted frame's. If the record is short or not that of a linear frame, or the fit does not settle,
+    or it ends at an implausible frame, the motion is the identified frame's.
 
     Raises
     ------
@@ -409,7 +410,9 @@ def _motion(
         If there is no motion of the identified frame, either.
     """
     fallback = ""
-    if fit:
+    if fit and not lasts(frame.centre.model, readings[0]):
+        fallback = "the record lasts less than two periods of the frame"
+    elif fit:
         try:
             best, evidences = _most_probable(frame, readings, free=True, detrend=detrend)
             fallback = _implausible(best[1])

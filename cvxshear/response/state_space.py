@@ -150,6 +150,17 @@ class Dynamics:
         """Stationary covariance of the state under the noise alone, shape (n, n)."""
         return doubled(self.A, self.Q)
 
+    def start_covariance(self, power: float, channels: Bools) -> Floats:
+        """Covariance of the state at the beginning of a record, shape (n, n).
+
+        The frame is in the stationary motion of a white excitation, beside that of the noise. The sensors that recorded
+        show this motion with a mean square of `power`.
+        """
+        moved = self.before + self.after
+        driven = doubled(self.A, np.outer(moved, moved))
+        shown = np.sum(self.H @ driven * self.H, axis=1)[channels]
+        return np.asarray(self.P0 + power / float(np.mean(shown)) * driven)
+
     def seen_by(self, channels: Bools) -> Dynamics:
         """Return the model with a subset of its sensors; the mask has shape (m,)."""
         return dataclasses.replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
