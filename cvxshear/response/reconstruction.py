@@ -359,7 +359,7 @@ def reconstruct(
     if len({run.floor for run in recorded.runs}) > 1:
         raise InputError(f"{recorded.name}: the force acts on several floors; reconstruct these runs one by one")
     identified = frame.centre.model
-    detrend = detrend and lasts(identified, recorded)
+    detrend = detrend and lasts(identified, recorded) and _has_lines(frame, recorded)
     readings = readings_of(identified, without_drift(identified, recorded) if detrend else recorded)
     done, parts = itertools.count(1), 2 + (len(recorded.floors) if leave_out else 0)
 
@@ -390,6 +390,21 @@ def reconstruct(
     if len(evidences) > 1:
         said.append(_reading_remark(sources.DRIVING[recorded.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found)))
+
+
+def _has_lines(frame: UncertainFrame, recorded: DrivenRecord) -> bool:
+    """Whether straight lines through the channels are their sensors', by the evidence of the identified frame.
+
+    A piece of a motion has such lines, too.
+    """
+    without = without_drift(frame.centre.model, recorded)
+    if not sources.line_remarks(recorded, without):
+        return True
+    as_recorded, off = (
+        _most_probable(frame, [each], free=False, detrend=detrend)[1][0]
+        for each, detrend in ((recorded, False), (without, True))
+    )
+    return off >= as_recorded
 
 
 #: The setup of the motion, the frame, and its motion with only the first states.
