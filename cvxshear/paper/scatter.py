@@ -435,12 +435,9 @@ def _estimates(
     samples = len(shapes)
     both = np.full((samples, 2, 2 * setup.stories), np.nan)
     one_by_one = np.arange(samples)
-    if setup.complete and method in ("two-stage", "one-shot"):
-        total = float(setup.floor_mass.sum())
-        closed_form = two_stage_batch if method == "two-stage" else one_shot_batch
-        batch = closed_form(shapes, frequencies, total)
-        both[:, 0] = np.hstack([batch.floor_mass, batch.story_stiffness])
-        one_by_one = np.flatnonzero(~batch.positive)
+    if setup.complete and method in CLOSED_FORMS:
+        both[:, 0] = CLOSED_FORMS[method](shapes, frequencies, float(setup.floor_mass.sum()))
+        one_by_one = np.flatnonzero(np.isnan(both[:, 0, 0]))
     before = samples - len(one_by_one)
     identified = each(
         partial(_identified, setup, method, backend),
@@ -466,29 +463,7 @@ def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats,
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Floor masses and story stiffnesses of S samples.
-
-    Parameters
-    ----------
-    floor_mass, story_stiffness : ndarray, shape (S, N)
-        kg and N/m; nan for samples that are not `positive`.
-    iterations : ndarray of int, shape (S,)
-    positive : ndarray of bool, shape (S,)
-        Whether all masses, in each iteration, and all stiffnesses are positive. Otherwise a bound is active in
-        `identify`, and the closed form differs from its answer.
-    """
-
-    floor_mass: Floats
-    story_stiffness: Floats
-    iterations: Ints
-    positive: Bools
-
-
-def two_stage_batch(
-    mode_shapes: Floats, frequencies: Floats, total_mass: float, initial_mass: Floats | None = None
-) -> Batch:
+def two_stage_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Floats:
     """Apply the paper's method (Eqs. 3-15 and 20-24) to S complete measurements of one configuration.
 
     Parameters
@@ -499,44 +474,38 @@ def two_stage_batch(
         Hz.
     total_mass : float
         kg.
-    initial_mass : ndarray, shape (N,), optional
-        By default, the total spread evenly.
+
+    Returns
+    -------
+    ndarray, shape (S, 2N)
+        Floor masses, then story stiffnesses, kg and N/m. A row is nan if a mass, in any iteration, or a stiffness is
+        not positive: a bound is active in `identify` then, and the closed form differs from its answer.
     """
     samples, n, _ = mode_shapes.shape
     shapes = mode_shapes.transpose(0, 2, 1)
-    start = np.full(n, total_mass / n) if initial_mass is None else np.asarray(initial_mass, dtype=float)
-    mass = np.tile(start, (samples, 1))
-    iterations = np.zeros(samples, dtype=np.int64)
+    mass = np.full((samples, n), total_mass / n)
     going = np.arange(samples)
     for _ in range(MOST_ITERATIONS):
         dm = _corrections(shapes[going], mass[going], total_mass)
         mass[going] += dm
-        iterations[going] += 1
         settled = np.max(np.abs(dm), axis=1) < TOLERANCE * np.max(np.abs(mass[going]), axis=1)
         # Eq. 3 needs positive masses: samples with other masses are given up.
         going = going[~settled & (mass[going] > 0).all(axis=1)]
         if not len(going):
             break
-    return _finished(shapes, frequencies, mass, iterations)
+    return _with_stiffnesses(shapes, frequencies, mass)
 
 
-def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Batch:
-    """Compute masses from the modes' orthogonality and the total, stiffnesses from Eq. 24, on S measurements.
-
-    Parameters
-    ----------
-    mode_shapes : ndarray, shape (S, N, N)
-        One row per mode, of any scale.
-    frequencies : ndarray, shape (S, N)
-        Hz.
-    total_mass : float
-        kg.
-    """
+def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Floats:
+    """Compute masses from the modes' orthogonality and the total, stiffnesses from Eq. 24, as `two_stage_batch`."""
     shapes = mode_shapes.transpose(0, 2, 1)
     unit = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
     normal = pair_normal(unit, diagonal=False)
-    mass = _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass)
-    return _finished(shapes, frequencies, mass, np.ones(len(shapes), dtype=np.int64))
+    return _with_stiffnesses(shapes, frequencies, _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass))
+
+
+#: Methods that have a closed form for all complete samples at once.
+CLOSED_FORMS = {"two-stage": two_stage_batch, "one-shot": one_shot_batch}
 
 
 def _normalized(shapes: Floats, mass: Floats) -> Floats:
@@ -564,14 +533,11 @@ def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
     return np.asarray(np.linalg.solve(system, right[:, :, None])[:, :n, 0])
 
 
-def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Ints) -> Batch:
-    """Apply Eq. 24 to the samples with positive masses."""
-    stiffness = np.full(mass.shape, np.nan)
-    positive: Bools = np.asarray((mass > 0).all(axis=1))
+def _with_stiffnesses(shapes: Floats, frequencies: Floats, mass: Floats) -> Floats:
+    """Apply Eq. 24 to the samples with positive masses; return masses and stiffnesses."""
+    positive = (mass > 0).all(axis=1)
+    found = np.hstack([mass, np.full(mass.shape, np.nan)])
     X = transformation(mass.shape[1]).T @ _normalized(shapes[positive], mass[positive])
     side = np.sum(X**2 * ((2 * np.pi * frequencies[positive]) ** 2)[:, None, :], axis=2)
-    stiffness[positive] = np.linalg.solve(pair_normal(X), side[:, :, None])[:, :, 0]
-    positive &= (stiffness > 0).all(axis=1)
-    return Batch(
-        np.where(positive[:, None], mass, np.nan), np.where(positive[:, None], stiffness, np.nan), iterations, positive
-    )
+    found[positive, mass.shape[1] :] = np.linalg.solve(pair_normal(X), side[:, :, None])[:, :, 0]
+    return np.where((found > 0).all(axis=1, keepdims=True), found, np.nan)
