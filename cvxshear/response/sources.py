@@ -16,7 +16,7 @@ from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
 from cvxshear.records.motion import DrivenRecord, trend
-from cvxshear.screening import close_loop
+from cvxshear.screening import FileFinding, close_loop
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
@@ -111,10 +111,13 @@ class Models:
     before : Fitted or None
         None if there is only one model.
     after : Fitted
+    warnings : tuple of FileFinding, optional
+        Doubts of the measurement that the loop was closed on.
     """
 
     before: Fitted | None
     after: Fitted
+    warnings: tuple[FileFinding, ...] = ()
 
 
 #: Kinds of measured excitation, in words.
@@ -188,7 +191,7 @@ def load_unscaled(path: str | Path) -> Experiment:
 
 def models_of_loop(closure: LoopResult) -> Models:
     """Return the models that a closed loop began and ended with."""
-    return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
+    return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate), closure.warnings)
 
 
 def state_of(experiment: Experiment, record: DrivenRecord, name: str | None = None) -> Configuration:
