@@ -62,11 +62,11 @@ def modes_data(result: ModalResult) -> blocks.Table:
     unit = "1/sqrt(kg)" if result.mass_normalized else ""
     largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
     shapes = result.mode_shapes if result.mass_normalized else result.mode_shapes / largest
-    stds = (largest if result.mass_normalized else 1.0) * result.entry_std
+    stds = (largest if result.mass_normalized else 1.0) * result.written_entry_std
     values = {
         ("mode", ""): result.modes,
         ("frequency", "Hz"): result.frequencies,
-        ("frequency std", "Hz"): result.frequencies * result.frequency_std,
+        ("frequency std", "Hz"): result.frequencies * result.written_frequency_std,
         ("damping ratio", ""): result.damping_ratios,
         **{(name, unit): shapes[:, at] for at, name in enumerate(result.entries)},
         **{(f"{name} std", unit): stds[:, at] for at, name in enumerate(result.entries)},
