@@ -91,7 +91,7 @@ class Design:
         if self.frame.floor_masses is not None:
             rows.append(np.eye(n, 2 * n))
         elif self.frame.total_mass is not None and self.frame.total_mass_std is None:
-            rows.append(self._of_the_total)
+            rows.append(self.share_of_total)
         for prior in self.priors:
             A = prior.constraints(n).A
             if A is not None:
@@ -102,7 +102,7 @@ class Design:
         return np.concatenate(rows)
 
     @property
-    def _of_the_total(self) -> Floats:
+    def share_of_total(self) -> Floats:
         """Return the relative change of the total mass per relative change of each parameter, shape (1, 2N)."""
         share: Floats = np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum()
         return share
@@ -114,7 +114,7 @@ class Design:
             return np.asarray(Misfit(self.measured, ()).evaluate(size).J * size)
         rows = [np.zeros((0, 2 * n))]
         if self.frame.total_mass_std is not None:
-            rows.append(self._of_the_total / self.frame.total_mass_std)
+            rows.append(self.share_of_total / self.frame.total_mass_std)
         for prior in self.priors:
             at = _place(prior, n)
             _, J = prior.residual(size[at])

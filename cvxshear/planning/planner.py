@@ -176,10 +176,10 @@ class Plan(Shown):
         """What would lower the deviations, the cheapest first, each with the typical deviations that it leads to."""
         model, floors = self.model, self.chosen.choice.chosen
         n, noise = model.design.stories, model.noise
-        share = np.concatenate([model.design.floor_mass, np.zeros(n)]) / model.design.floor_mass.sum()
-        found = {}
+        share = model.design.share_of_total
+        found: dict[str, tuple[TestModel, Ints, Floats | None]] = {}
         if np.linalg.norm(share @ free_changes(model.fixed)) > KNOWN_EXACTLY:
-            found["weigh the frame"] = model, floors, share[None]
+            found["weigh the frame"] = model, floors, share
         if self.more is not None:
             found["one sensor more"] = model, self.more.choice.chosen, None
         exact = Declared(noise.frequency_std / 2, noise.mode_shape_std / 2)

@@ -184,7 +184,6 @@ class _Recorded(checks.ReadOnlyArrays):
             raise InputError("record: at least one run is needed")
         if not self.channels:
             raise InputError("record: at least one response channel on a floor is needed")
-        seen: dict[int, Channel] = {}
         for channel in self.channels:
             if channel.floor == 0:
                 raise InputError(f'{channel} is on the ground: it can only be the input, with input = "base"')
@@ -195,8 +194,7 @@ class _Recorded(checks.ReadOnlyArrays):
                     f"{channel} points along {channel.axis}, {self.channels[0]} along {self.channels[0].axis}; "
                     "the channels of a record share one axis"
                 )
-            seen[channel.floor] = channel
-        highest = max(seen)
+        highest = int(self.floors.max())
         if self.stories == 0:
             put(self, "stories", highest)
         checks.whole(self.stories, "record: stories", least=highest, most=MOST_STORIES)
@@ -426,11 +424,6 @@ class FrfRecord(_Recorded):
     def sampling_rate(self) -> float:
         """Twice the highest line: the rate of the impulse responses, Hz."""
         return 2.0 * float(self.frequencies[-1])
-
-    @property
-    def duration(self) -> float:
-        """Length of the impulse responses that the step allows, s."""
-        return 1.0 / self.step
 
 
 Record = TimeRecord | FrfRecord

@@ -295,8 +295,7 @@ def parted(run: DrivenRun, least: int) -> list[Piece]:
     """Split a run at gaps of `least` samples or more; return the parts and their recording channels."""
     recorded = np.ones(run.measured.shape, dtype=bool)
     for column, there in enumerate(np.isfinite(run.measured).T):
-        ends = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(np.int8)))
-        for first, last in ends.reshape(-1, 2).tolist():
+        for first, last in data_frames.stretches(~there).tolist():
             recorded[first:last, column] = last - first < least
     edges = [0, *(np.flatnonzero(np.any(np.diff(recorded, axis=0), axis=1)) + 1).tolist(), len(recorded)]
     return [(slice(first, last), recorded[first]) for first, last in pairwise(edges)]
