@@ -253,15 +253,12 @@ class Shapes(_OfModes):
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""
-        measured, modelled = self._known_entries(model)
+        known, measured = self.tested.measured[self.used], self.tested.known_shapes[self.used]
+        modelled = np.where(known, self.seen(model), 0.0)
         lengths = np.sum(measured**2, axis=1) * np.sum(modelled**2, axis=1)
-        several = np.sum(self.tested.measured[self.used], axis=1) > 1
+        several = np.sum(known, axis=1) > 1
         criteria = np.sum(measured * modelled, axis=1)[several] ** 2 / lengths[several]
         return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
-
-    def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
-        """Measured and modelled shapes, zero for missing entries."""
-        return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
 
 
 def shape_errors(measured: Floats, modelled: Floats) -> Floats:

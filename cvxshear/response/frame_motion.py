@@ -309,7 +309,7 @@ class FrameMotion:
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
         """Return every run's motion; widen all deviations by a factor."""
-        directions = self.directions(fitted)
+        sides, allowance = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
         rows = fitted.errors.dynamics(fitted.p).outputs
         model, n = fitted.model, len(self.varied.story_stiffness)
@@ -318,7 +318,7 @@ class FrameMotion:
         for run, found in zip(self.recording.runs, smoothed, strict=True):
             std = found.output_std
             np.square(std, out=std)
-            std += self.frame_variance(directions, noise, run, found)
+            std += allowance * sum(self.moved_by(each, noise, run, found) ** 2 for each in sides)
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
@@ -333,13 +333,6 @@ class FrameMotion:
                 stds["overturning_moment"] = std[:, 4 * n]
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
-
-    def frame_variance(
-        self, directions: Directions, noise: state_space.Noise, run: DrivenRun, found: Smoothed
-    ) -> Floats:
-        """Compute the variance of all outputs by the frame's uncertainty, shape (samples, outputs)."""
-        sides, allowance = directions
-        return np.asarray(allowance * sum(self.moved_by(each, noise, run, found) ** 2 for each in sides))
 
     def moved_by(self, sides: Sides, noise: state_space.Noise, run: DrivenRun, found: Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
