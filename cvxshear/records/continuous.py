@@ -25,8 +25,6 @@ variates (Arun and Kung 1990, "Balanced approximation of stochastic systems", SI
 unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

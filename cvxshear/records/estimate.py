@@ -4,10 +4,10 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy import special
 from scipy.optimize import nnls
 
 from cvxshear.measurement.configuration import Sensor
+from cvxshear.measurement.repeats import student_factor
 from cvxshear.records import frf, picking, pole_sweep
 from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
@@ -207,7 +207,7 @@ def covariance(setting: Replication, full: Details) -> tuple[Floats, str, int]:
             result, how = _widened(result, disturbed(setting, full)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
-            factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
+            factor = student_factor(freedom)
             result = result * np.outer(factor, factor)
         return result, how, lost
     return disturbed(setting, full), f"{SURROGATES} surrogates of the residual", 0

@@ -3,8 +3,6 @@
 Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 Story dashpots and Rayleigh factors are solutions of least-squares programs that every backend can solve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Prediction: the response of an identified frame to a record and its peaks, compared with the measured motion."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ standard deviations, which a prediction of each sensor from all others checks. A
 falls back to the motion of the identified frame.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence

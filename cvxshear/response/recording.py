@@ -5,8 +5,6 @@ the segments that every sensor recorded. Corrections of certain faults apply to 
 with gaps.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
