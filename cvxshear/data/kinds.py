@@ -6,9 +6,8 @@ test has known forces and measured displacements.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -132,7 +131,7 @@ class _OfModes(Datum):
 
     def without(self, left_out: Bools) -> Self:
         """Leave out these modes."""
-        return dataclasses.replace(self, used=self.used & ~left_out)
+        return replace(self, used=self.used & ~left_out)
 
     @property
     def parts(self) -> list[str]:

@@ -6,9 +6,8 @@ and their derivatives by the frame's parameters.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +73,8 @@ class Design:
     def shell(self) -> Experiment:
         """Make an experiment with the frame's dimensions and expected masses for the forward model."""
         # The states of the file's tests do not apply to the planned test.
-        unsaid = dataclasses.replace(
-            self.frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False, reference=None
-        )
-        frame = dataclasses.replace(unsaid, floor_masses=self.floor_mass)
+        unsaid = replace(self.frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False, reference=None)
+        frame = replace(unsaid, floor_masses=self.floor_mass)
         return Experiment(frame, (self.blank(np.zeros(self.stories), np.array([1])),))
 
     def blank(self, added_mass: Floats, modes: Ints) -> Configuration:
@@ -193,7 +190,7 @@ class Design:
             mass = mass * frame.total_mass / mass.sum()
         for prior in priors:
             check_prior(prior, n)
-        frame = dataclasses.replace(frame, stories=n)
+        frame = replace(frame, stories=n)
         return Design(frame, np.array(mass), np.array(stiffness), priors, name=name)
 
 
@@ -389,7 +386,7 @@ class TestModel:
         found = []
         for change in np.concatenate([drawn, -drawn]):
             mass, stiffness = np.split(self.design.sizes * np.exp(change), 2)
-            design = dataclasses.replace(self.design, floor_mass=mass, story_stiffness=stiffness)
-            model = dataclasses.replace(self, design=design)
+            design = replace(self.design, floor_mass=mass, story_stiffness=stiffness)
+            model = replace(self, design=design)
             found.append(model.covariance([model.expected(each.test.added_mass) for each in tests], floors, exact))
         return np.asarray(np.mean(found, axis=0))

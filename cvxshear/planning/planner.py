@@ -3,9 +3,8 @@
 The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -168,7 +167,7 @@ class Plan(Shown):
                 if each.name in self.names else each
                 for each in experiment.configurations
             ]  # fmt: skip
-            experiment = dataclasses.replace(experiment, configurations=tuple(bare))
+            experiment = replace(experiment, configurations=tuple(bare))
         return other_frames(efficient(experiment, backend), backend)
 
     @cached_property
@@ -183,10 +182,10 @@ class Plan(Shown):
         if self.more is not None:
             found["one sensor more"] = model, self.more.choice.chosen, None
         exact = Declared(noise.frequency_std / 2, noise.mode_shape_std / 2)
-        found["half the noise: records four times as long"] = dataclasses.replace(model, noise=exact), floors, None
+        found["half the noise: records four times as long"] = replace(model, noise=exact), floors, None
         if free := [mode for mode in range(n) if mode not in model.which]:
             which = np.sort([*model.which, free[0]])
-            found[f"mode {free[0] + 1} as well"] = dataclasses.replace(model, which=which), floors, None
+            found[f"mode {free[0] + 1} as well"] = replace(model, which=which), floors, None
         return {
             name: typical_std(each.averaged([each.expected(test) for test in self.tests], at, known))
             for name, (each, at, known) in found.items()
@@ -240,7 +239,7 @@ def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
     entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
     shapes, std = entries[:, floors], test.mode_shape_std
     assert std is not None, "an expected test declares its noise"
-    return dataclasses.replace(
+    return replace(
         test,
         name=name,
         mode_shapes=shapes,

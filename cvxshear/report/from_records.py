@@ -9,9 +9,8 @@ from cvxshear.records import ModalResult
 from cvxshear.records.result import over_amplitude
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
-from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
+from cvxshear.util.quantities import capital, counted, listed, numbered, percent, significants, with_std, with_stds
 
 #: Names of the methods of `identify_modes` in words; names from other libraries stay unchanged.
 METHOD_WORDS = {
@@ -87,7 +86,7 @@ def amplitude_section(results: Sequence[ModalResult]) -> blocks.Section:
     """
     results = sorted(results, key=lambda each: each.amplitude or 0.0)
     cells = {"record": [result.name for result in results]}
-    cells["largest motion (SI)"] = quantities.significants([result.amplitude or 0.0 for result in results], 3)
+    cells["largest motion (SI)"] = significants([result.amplitude or 0.0 for result in results], 3)
     trends = []
     for mode, (frequencies, damping, (change, std)) in over_amplitude(results).items():
         for head, values in ((f"mode {mode}, Hz", frequencies), (f"damping {mode}, %", 100 * damping)):

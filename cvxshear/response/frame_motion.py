@@ -6,9 +6,8 @@ along the directions that change the motion most.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -263,7 +262,7 @@ class FrameMotion:
         if detrend:
             model, pairs = errors.dynamics(fitted.p), zip(self.recording.runs, smoothed, strict=True)
             shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
-            work = dataclasses.replace(self, recording=without_lines(self.recording, shown))
+            work = replace(self, recording=without_lines(self.recording, shown))
             smoothed = work.smoothed(errors, fitted.p)
         recording, late, known = work.recording, *np.zeros((2, len(self.recording.floors)))
         for again in range(frame_fit.MOST_REFITS):
@@ -272,7 +271,7 @@ class FrameMotion:
                 break
             if np.any(more):
                 late, known = late + more, np.where(more, std, known)
-                work = dataclasses.replace(work, recording=_on_time(recording, late, known))
+                work = replace(work, recording=_on_time(recording, late, known))
                 p[errors.delays] = 0.0
                 smoothed = work.smoothed(errors, p)
             errors = work.errors(smoothed)
@@ -384,7 +383,7 @@ def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
         if abs(own) > NORMAL_95 * off
     ]
     moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
-    return dataclasses.replace(moved, remarks=(*record.remarks, *said))
+    return replace(moved, remarks=(*record.remarks, *said))
 
 
 def _drift_rms(model: DampedModel, recording: DrivenRecord) -> Floats:
@@ -436,8 +435,8 @@ def checked(
     """
     others = np.arange(len(work.recording.floors)) != channel
     parts = [strongest(each.completed, frame_fit.FITTED_SAMPLES) for each in smoothed]
-    other = dataclasses.replace(work, recording=cut(work.recording, others, parts))
-    stretches = [dataclasses.replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
+    other = replace(work, recording=cut(work.recording, others, parts))
+    stretches = [replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
     stretches = [each for each in stretches if each.channels.any()]
     errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
     again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)

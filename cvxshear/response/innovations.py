@@ -16,9 +16,8 @@ expected curvature (Fisher scoring), so that a Gauss-Newton step stays one least
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -167,7 +166,7 @@ class Segment:
 
     def on_time(self, late: Floats) -> Segment:
         """Return the segment without small delays of the sensors, in samples, shape (m,)."""
-        return dataclasses.replace(self, y=self.y + self.slopes * late)
+        return replace(self, y=self.y + self.slopes * late)
 
 
 def strongest(y: Floats, most: int) -> slice:

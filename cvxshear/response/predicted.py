@@ -1,8 +1,7 @@
 """Prediction: the response of an identified frame to a record and its peaks, compared with the measured motion."""
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -299,12 +298,12 @@ def predict(
     motion = without_drift(frame.centre.model, recorded) if detrend else recorded
     before = None
     if models.before is not None:
-        other = dataclasses.replace(frame, fitted=models.before)
+        other = replace(frame, fitted=models.before)
         before = _model_response(models.before, other.centre, motion)
     found = _predicted(models, frame, motion, before)
     named = configuration is not None
     said = sources.assumptions(models.after, frame.configuration, recorded, motion, found.passed, named=named)
-    return dataclasses.replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
+    return replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
 
 
 def set_up(

@@ -8,7 +8,6 @@ with gaps.
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -296,7 +295,7 @@ def parted(run: DrivenRun, least: int) -> list[Piece]:
         for first, last in data_frames.stretches(~there).tolist():
             recorded[first:last, column] = last - first < least
     edges = [0, *(np.flatnonzero(np.any(np.diff(recorded, axis=0), axis=1)) + 1).tolist(), len(recorded)]
-    return [(slice(first, last), recorded[first]) for first, last in pairwise(edges)]
+    return [(slice(first, last), recorded[first]) for first, last in itertools.pairwise(edges)]
 
 
 def cut(record: DrivenRecord, channels: Bools, parts: Sequence[slice]) -> DrivenRecord:

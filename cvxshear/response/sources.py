@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -234,7 +233,7 @@ def state_of(experiment: Experiment, record: DrivenRecord, name: str | None = No
     for each in configurations:
         if np.allclose(each.added_mass, added):
             return each
-    return dataclasses.replace(configurations[0], name=_unused(experiment, added), added_mass=added)
+    return replace(configurations[0], name=_unused(experiment, added), added_mass=added)
 
 
 def state_remarks(

@@ -9,9 +9,8 @@ the way; a derivative at one point would not see this change.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -138,7 +137,7 @@ class UncertainFrame:
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
-        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta))
+        return self.damped(theta, replace(self.ratios, values=zeta))
 
     def damped(self, theta: Floats, ratios: damping.Ratios) -> Damped:
         """Build the damped model of given parameters and ratios.
