@@ -325,7 +325,8 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
             yield run, start, stop
 
 
-#: s; long beside the longest delay of a clock, short enough that a record has many.
+#: Length, s, of the segments that spectra are averaged over: long beside the delay of a clock, short enough that a
+#: record has many. Half and twice the length name the same faults (`python -m tests.studies record_faults --segment`).
 SEGMENT = 20.0
 #: Of a continuous record; with fewer averages its functions are mostly noise.
 FEWEST_SEGMENTS = 8
