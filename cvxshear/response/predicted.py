@@ -7,7 +7,6 @@ import numpy as np
 from scipy import special
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
@@ -257,7 +256,7 @@ class RecordPrediction(Shown):
 def predict(
     source: sources.ModelSource,
     record: RecordSource,
-    backend: str | Backend = "auto",
+    backend: str | backends.Backend = "auto",
     *,
     damping: str | None = None,
     configuration: str | None = None,
@@ -309,7 +308,7 @@ def predict(
 def set_up(
     source: sources.ModelSource,
     record: RecordSource,
-    backend: str | Backend,
+    backend: str | backends.Backend,
     damping: str | None,
     configuration: str | None,
     assume: Sequence[str | LocatedEffect],

@@ -16,7 +16,6 @@ from functools import partial
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
@@ -64,10 +63,10 @@ class UncertainFrame:
     configuration: Configuration
     ratios: damping.Ratios
     kind: str
-    backend: Backend
+    backend: backends.Backend
 
     @staticmethod
-    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
+    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: backends.Backend) -> UncertainFrame:
         """Use the damping ratios that the experiment declares, and by default its kind of damping."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
@@ -272,7 +271,7 @@ def described(frame: UncertainFrame, std: Mapping[str, Floats]) -> IdentifiedDam
 def damping_of(
     experiment: Measurement,
     estimate: Estimate | Fitted,
-    backend: str | Backend = "auto",
+    backend: str | backends.Backend = "auto",
     *,
     kind: str | None = None,
     configuration: str | None = None,
