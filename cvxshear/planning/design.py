@@ -101,8 +101,7 @@ class Design:
     @property
     def share_of_total(self) -> Floats:
         """Return the relative change of the total mass per relative change of each parameter, shape (1, 2N)."""
-        share: Floats = np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum()
-        return share
+        return np.asarray(np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum())
 
     def known(self) -> Floats:
         """Return the prior information, rows in standard deviations by relative changes, shape (k, 2N)."""

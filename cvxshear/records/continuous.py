@@ -88,8 +88,7 @@ class Triangles:
 def _joined(first: Floats, second: Floats) -> Floats:
     """Triangle of two one above the other, which LAPACK makes without a look at their zeros."""
     size = len(first)
-    triangle: Floats = linalg.lapack.dtpqrt(size, size, first, second)[0]
-    return triangle
+    return np.asarray(linalg.lapack.dtpqrt(size, size, first, second)[0])
 
 
 #: Block rows of past and future: a minimum, and samples for each state of the frame.

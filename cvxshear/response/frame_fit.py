@@ -207,8 +207,7 @@ class FittedFrame:
         _, J = varied.story_factors(self.p[frame])
         N, D, W, _ = varied.sizes
         masses = J[:, N + D : N + D + W]
-        result: Floats = J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T
-        return result
+        return np.asarray(J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T)
 
     @cached_property
     def model(self) -> DampedModel:

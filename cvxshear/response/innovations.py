@@ -98,8 +98,7 @@ class Filter:
     @property
     def F(self) -> Floats:  # noqa: N802
         """A - K H, shape (n, n)."""
-        result: Floats = self.model.A - self.K @ self.model.H
-        return result
+        return np.asarray(self.model.A - self.K @ self.model.H)
 
     @property
     def pull(self) -> Floats:

@@ -92,8 +92,7 @@ def limits_passed(limits: Limits | None, peaks: Peaks) -> Floats | None:
     if limits is None or name not in peaks.values:
         return None
     away = peaks.values[name] - limits.story_drift[:, None]
-    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
-    return passed
+    return np.asarray(special.ndtr(away / np.maximum(peaks.std[name], 1e-300)))
 
 
 def limits_in_json(limits: Limits | None, passed: Floats | None, stories: int) -> list[Json] | None:

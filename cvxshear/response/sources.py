@@ -32,8 +32,7 @@ def covariance_root(covariance: Floats) -> Floats:
     unit = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
-    root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
-    return root
+    return np.asarray(unit[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
 @dataclass(frozen=True, eq=False)

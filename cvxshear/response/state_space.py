@@ -110,8 +110,7 @@ class StateOutputs:
 
     def of(self, states: Floats, excitation: Floats) -> Floats:
         """Return the outputs over time, shape (samples, outputs)."""
-        result: Floats = states @ self.rows.T + np.outer(excitation[:, 1], self.direct)
-        return result
+        return np.asarray(states @ self.rows.T + np.outer(excitation[:, 1], self.direct))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +159,7 @@ class Dynamics:
 
     def driven(self, excitation: Floats) -> Floats:
         """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
-        driven: Floats = steps_of(excitation) @ [self.before, self.after]
-        return driven
+        return np.asarray(steps_of(excitation) @ [self.before, self.after])
 
     def shown(self, excitation: Floats) -> Floats:
         """Return the excitation's direct part of the sensors' values, shape (samples, m)."""

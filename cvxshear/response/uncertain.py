@@ -117,8 +117,7 @@ class UncertainFrame:
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
         # With R R' the covariance of masses and effects, the stiffnesses follow by their regression.
         own = covariance_root(covariance[np.ix_(rest, rest)])
-        root: Floats = np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T
-        return root
+        return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T)
 
     @cached_property
     def centre(self) -> Damped:
