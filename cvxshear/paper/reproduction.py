@@ -17,7 +17,8 @@ from cvxshear import backends
 from cvxshear.fit.identification import identify
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups, three_story
+from cvxshear.paper.scatter import NoiseStudy, noise_study
+from cvxshear.paper.setups import paper_setups, three_story
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 

@@ -17,7 +17,8 @@ from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
-from cvxshear.planning.design import UNKNOWN_STD, Declared, Design, TestModel, read_design
+from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
+from cvxshear.planning.expected_tests import Declared, TestModel
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.errors import InputError

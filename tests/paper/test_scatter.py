@@ -7,7 +7,8 @@ import pytest
 
 from cvxshear import InputError, UnsuitableError, identify
 from cvxshear.paper import noise_study, paper_setups, six_story_study
-from cvxshear.paper.scatter import CLOSED_FORMS, Scatter, Setup, six_story, three_story, two_stage_batch
+from cvxshear.paper.scatter import CLOSED_FORMS, Scatter, two_stage_batch
+from cvxshear.paper.setups import Setup, six_story, three_story
 from cvxshear.report.terminal import text
 
 ALLOWED = 1.10
