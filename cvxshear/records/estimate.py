@@ -231,8 +231,7 @@ def disturbed(setting: Replication, full: Details) -> Floats:
     `SURROGATES` times (parametric bootstrap).
     """
     impulse = setting.source.impulse()
-    if impulse is None:
-        raise InputError("the record is too short to be cut into blocks")
+    assert impulse is not None, "a record without impulse responses has blocks"
     fit = _fit(impulse, full.eigenvalues - setting.record.window_decay, setting.source.sampling_rate)
     residual = impulse.sequence[impulse.start :] - fit
     random = np.random.default_rng(0)

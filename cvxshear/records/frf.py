@@ -315,7 +315,8 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
         raise InputError(f"a hit leaves only {samples} samples after the blow; record longer or trigger earlier")
     result = []
     for run, start in zip(record.runs, starts, strict=True):
-        force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples], 2 * samples)
+        assert run.excitation is not None
+        force = np.fft.rfft(_quiet_after_blow(run.excitation)[start : start + samples], 2 * samples)
         response = np.fft.rfft(run.responses[start : start + samples], 2 * samples, axis=0)
         result.append(Spectra(np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor))
     return result, 2 * samples
@@ -332,7 +333,8 @@ def reach(record: TimeRecord) -> float:
 
 def hit_start(run: Run) -> int:
     """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
-    force = np.abs(_excitation(run))
+    assert run.excitation is not None
+    force = np.abs(run.excitation)
     loud = np.flatnonzero(force > 0.02 * force.max())
     blow = int(np.argmax(force))
     start = blow
@@ -354,9 +356,3 @@ def _quiet_after_blow(force: Floats) -> Floats:
     window = np.zeros(len(force))
     window[max(0, first - margin) : last + margin + 1] = 1.0
     return force * window
-
-
-def _excitation(run: Run) -> Floats:
-    if run.excitation is None:
-        raise InputError(f"{run.name} has no force channel")
-    return run.excitation

@@ -330,9 +330,7 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
     right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
     """
-    if record.quantity != "acceleration" or any(
-        run.excitation is None or prepare.impulsive(run) for run in record.runs
-    ):
+    if record.quantity != "acceleration" or any(map(prepare.impulsive, record.runs)):
         return None
     frequencies, spectra = prepare.driven_spectra(record)
     whole = frf.Spectra.together(spectra)

@@ -258,7 +258,8 @@ def _hits(record: TimeRecord) -> frf.FrfSource:
 def _refuse_several_hits(record: TimeRecord) -> None:
     """Hits in one run act as one pulse as long as the time between them, which leaves little after it."""
     for run in record.runs:
-        force = np.abs(np.zeros(1) if run.excitation is None else run.excitation)
+        assert run.excitation is not None
+        force = np.abs(run.excitation)
         loud = np.flatnonzero(force > 0.25 * force.max()) / record.sampling_rate
         times = loud[np.append(True, np.diff(loud) > APART)].tolist()
         if times and times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
@@ -290,8 +291,7 @@ def _driven(record: TimeRecord, blocks: int) -> pole_sweep.Source:
     before = 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
-        if run.excitation is None:
-            raise InputError(f"{run.name} lacks the input channel")
+        assert run.excitation is not None
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows)
 

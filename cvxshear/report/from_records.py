@@ -9,7 +9,6 @@ from cvxshear.records import ModalResult
 from cvxshear.records.result import over_amplitude
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import capital, counted, listed, numbered, percent, significants, with_std, with_stds
 
 #: Names of the methods of `identify_modes` in words; names from other libraries stay unchanged.
@@ -104,15 +103,9 @@ def poles_table(result: ModalResult) -> blocks.Table:
     Parameters
     ----------
     result : ModalResult
-        Result with its order sweep.
-
-    Raises
-    ------
-    InputError
-        If the result has no order sweep.
+        Of `identify_modes`, which keeps its order sweep.
     """
-    if result.sweep is None:
-        raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
+    assert result.sweep is not None
     chosen = {item.members for item in result.sweep.chosen}
     candidates = result.sweep.candidates
     return blocks.table("poles", f"{result.name}: --pick with the frequencies, commas between", {
