@@ -33,13 +33,13 @@ class KnownFrame:
 
     def modes(self) -> tuple[Floats, Floats]:
         """Natural frequencies, Hz, shape (N,), and mass-normalized shapes, one a row, shape (N, N)."""
-        found = modes(mass_matrix(self.masses), self.stiffness)
+        found = modes(mass_matrix(np.asarray(self.masses)), self.stiffness)
         return found.frequencies, found.shapes
 
     @property
     def stiffness(self) -> Floats:
         """Stiffness matrix, N/m, shape (N, N)."""
-        return stiffness_matrix(self.stiffnesses)
+        return stiffness_matrix(np.asarray(self.stiffnesses))
 
     def accelerations(self, forces: Floats, step: float) -> Floats:
         """Accelerations under forces that are straight lines between samples, m/s2, shape (samples, N).
