@@ -19,7 +19,7 @@ from cvxshear.cli import options, output
 from cvxshear.cli.modes_and_check import DOUBT_STATUS, MISTAKE_STATUS, measured, records_in_json, tables_of
 from cvxshear.cli.output import deliver, doubts_of, names, numbers, progress, show, used
 from cvxshear.report import terminal
-from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
+from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.results import as_json
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from cvxshear.backends import Solver
     from cvxshear.response import Models, Reconstruction, RecordPrediction
-    from cvxshear.screening import FileFinding
 
 
 def identify(
@@ -93,7 +92,7 @@ def loop(
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
     from cvxshear import effects as known
-    from cvxshear import response
+    from cvxshear import response, screening
     from cvxshear.loop.results import VERDICTS
 
     if effects == options.LIST:
@@ -103,7 +102,9 @@ def loop(
     outputs.check(cvxshear.LoopResult)
     with progress("closing the loop", outputs.quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
-        result = _closed(experiment, bool(found), effects=names(effects), assume=names(assume) or (), backend=backend)
+        # A record has no declared mode numbers: the loop weighs the possible ones with the effects.
+        recorded = [each.name for each in experiment.configurations if found]
+        result = screening.close_loop(experiment, names(effects), names(assume) or (), backend, weighed=recorded)
         models = response.models_of_loop(result)
         damping, without = None, []
         try:
@@ -131,15 +132,6 @@ def loop(
     )
     if strict and not VERDICTS[result.verdict].certain:
         raise typer.Exit(DOUBT_STATUS)
-
-
-def _closed(experiment: cvxshear.Experiment, recorded: bool, **options: Any) -> cvxshear.LoopResult:
-    """Close the loop; a record has no declared mode numbers, and the loop weighs the possible ones with the effects."""
-    from cvxshear import screening
-
-    return screening.close_loop(
-        experiment, weighed=[each.name for each in experiment.configurations if recorded], **options
-    )
 
 
 @dataclass(frozen=True)
@@ -176,18 +168,12 @@ class Motion:
         if self.series is not None:
             yield partial(write_series, self.series, result)
 
-    def screened(self) -> tuple[Models, Sequence[FileFinding]]:
-        """Close the loop on a measurement; return its models and warnings."""
-        from cvxshear import response
-        from cvxshear.response.sources import load_unscaled
+    def closed(self) -> Models:
+        """Close the loop on a measurement; return its models."""
+        from cvxshear.backends import get
+        from cvxshear.response.sources import models_of
 
-        try:
-            experiment, found = measured([self.file])
-        except NoScaleError:
-            # Only forces need the scale of the masses; the result leaves forces out.
-            experiment, found = load_unscaled(self.file), []
-        result = _closed(experiment, bool(found), assume=names(self.assume) or (), backend=self.backend)
-        return response.models_of_loop(result), result.warnings
+        return models_of(self.file, get(self.backend), names(self.assume) or ())
 
     @property
     def model(self) -> dict[str, Any]:
@@ -210,9 +196,9 @@ def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
 
     outputs.check(response.RecordPrediction)
     with progress("predicting", outputs.quiet):
-        source, doubts = motion.screened()
-        result = response.predict(source, motion.record, **motion.model)
-    outputs.deliver(result, *motion.written(result), doubts=doubts)
+        models = motion.closed()
+        result = response.predict(models, motion.record, **motion.model)
+    outputs.deliver(result, *motion.written(result), doubts=models.warnings)
 
 
 def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: options.ResultOptions) -> None:
@@ -233,11 +219,11 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
 
     outputs.check(response.Reconstruction)
     with progress("reconstructing", outputs.quiet) as advance:
-        source, doubts = motion.screened()
+        models = motion.closed()
         result = response.reconstruct(
-            source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model
+            models, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model
         )
-    outputs.deliver(result, *motion.written(result), doubts=doubts)
+    outputs.deliver(result, *motion.written(result), doubts=models.warnings)
 
 
 def history(

@@ -6,9 +6,8 @@ test has known forces and measured displacements.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -132,7 +131,7 @@ class _OfModes(Datum):
 
     def without(self, left_out: Bools) -> Self:
         """Leave out these modes."""
-        return dataclasses.replace(self, used=self.used & ~left_out)
+        return replace(self, used=self.used & ~left_out)
 
     @property
     def parts(self) -> list[str]:
@@ -253,15 +252,12 @@ class Shapes(_OfModes):
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""
-        measured, modelled = self._known_entries(model)
+        known, measured = self.tested.measured[self.used], self.tested.known_shapes[self.used]
+        modelled = np.where(known, self.seen(model), 0.0)
         lengths = np.sum(measured**2, axis=1) * np.sum(modelled**2, axis=1)
-        several = np.sum(self.tested.measured[self.used], axis=1) > 1
+        several = np.sum(known, axis=1) > 1
         criteria = np.sum(measured * modelled, axis=1)[several] ** 2 / lengths[several]
         return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
-
-    def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
-        """Measured and modelled shapes, zero for missing entries."""
-        return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
 
 
 def shape_errors(measured: Floats, modelled: Floats) -> Floats:

@@ -19,7 +19,6 @@ import numpy as np
 from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns, refuse_data
 from cvxshear.io.toml import parse, read_text
-from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records import record as kinds
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
 from cvxshear.records.motion import differentiated
@@ -169,7 +168,7 @@ class RecordFile:
         floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
         if floor is None:
             raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
-        return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+        return checks.whole(floor, f"run {place}: input_floor", least=1, most=checks.MOST_STORIES)
 
     def _parts(self, needed: Sequence[ChannelDeclaration]) -> Iterator[tuple[int, Mapping[str, Any], str, Columns]]:
         """Read the file of every run; a `*` in the columns' names makes a run of each name that it can stand for."""
@@ -188,7 +187,7 @@ class RecordFile:
         """Return the arguments of both kinds of records."""
         declared = self.declared
         return {
-            "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
+            "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=checks.MOST_STORIES),
             "quantity": declared.get("quantity", "acceleration"),
             "band": declared.get("band"),
             "exponential_window": declared.get("exponential_window"),
@@ -373,7 +372,7 @@ def channels_of(
         if not isinstance(sign, int | float) or isinstance(sign, bool) or sign not in (1, -1):
             raise InputError(f"{where}: sign must be 1 or -1, not {checks.shown(sign)}")
         factor = sign * in_si * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
-        floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
+        floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=checks.MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
         stands = f"line {line} of {path.name}" if line else path.name
         along = one.get("direction", 90.0 if turns and axis == "y" else None)

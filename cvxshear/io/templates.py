@@ -4,12 +4,11 @@ Their texts are in the folder `blank`. A record file marks the values that were 
 the numbers of columns.
 """
 
-import dataclasses
 import os
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from cvxshear.io.formats import LIMIT, named_after, read_columns, read_modes_of
 from cvxshear.io.record_tables import FREQUENCY_NAMES
 from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
-from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import CHANNEL_UNITS, STANDARD_GRAVITY, counted
 from cvxshear.util.typing import Floats
@@ -59,7 +57,7 @@ def template(stories: int = 3) -> str:
     str
         TOML that `cvxshear.load` takes as it stands.
     """
-    checks.whole(stories, "stories", least=1, most=MOST_STORIES)
+    checks.whole(stories, "stories", least=1, most=checks.MOST_STORIES)
     # Modes of equal floors of 10 kg on equal stories of 10 kN/m: sine waves, in closed form.
     angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
     shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
@@ -246,7 +244,7 @@ def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
             if ROOF.search(each.column) and len(named) < floor - 1:
                 why = ", as low as it can be: CHECK how many stories there are"
             named.add(floor)
-        result.append(dataclasses.replace(each, floor=floor, why=why))
+        result.append(replace(each, floor=floor, why=why))
     return sorted(result, key=lambda each: names.index(each.column))
 
 
@@ -329,7 +327,7 @@ def _functions(columns: Columns, path: Path) -> Columns:
         raise InputError(f"{path} has a column of frequencies, and no pair of columns such as floor1_re and floor1_im")
     names = tuple(columns.names[i].removesuffix("_re") for i in kept)
     units = tuple(columns.units[i] for i in kept) if columns.units else columns.units
-    return dataclasses.replace(columns, names=names, values=columns.values[:, kept], units=units)
+    return replace(columns, names=names, values=columns.values[:, kept], units=units)
 
 
 def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: int) -> str:

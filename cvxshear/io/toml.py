@@ -17,7 +17,6 @@ from cvxshear.io.formats import FORMATS, LARGEST_FILE, format_of, named_after, r
 from cvxshear.io.spreadsheets import read_repeats
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
-from cvxshear.util.checks import shown
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.writing import escaped, rows_in_lines, write_file
@@ -60,7 +59,7 @@ def load(path: str | Path) -> Experiment:
         return Experiment.from_dict(tomllib.loads(built_in_text(str(path))), name=str(path))
     if not isinstance(path, str | os.PathLike):
         raise InputError(
-            f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
+            f"load takes the name of a measurement file, not {checks.shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
     declared = read_tables(path)

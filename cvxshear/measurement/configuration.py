@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.measurement.repeats import Repeats
 from cvxshear.util import checks
-from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints, Json
@@ -52,7 +50,7 @@ class OtherModes(InTable):
             declared = declared.to_dict()
         table = checks.keys(declared, ["modes", "probability"], ["modes", "probability"], where)
         modes = checks.ascending_whole(
-            table["modes"], f"{where}: modes", most=MOST_STORIES, length=len(own), each=", one a frequency"
+            table["modes"], f"{where}: modes", most=checks.MOST_STORIES, length=len(own), each=", one a frequency"
         )
         if np.array_equal(modes, own):
             raise InputError(f"{where}: modes are those of the configuration itself; leave the entry out")
@@ -105,7 +103,7 @@ class Sensor(InTable):
     direction: float = 0.0
 
     def __post_init__(self) -> None:
-        checks.put(self, "floor", checks.whole, "floor", least=1, most=MOST_STORIES)
+        checks.put(self, "floor", checks.whole, "floor", least=1, most=checks.MOST_STORIES)
         checks.put(self, "position", checks.vector, "position", length=2, each=", x and y in m")
         checks.put(self, "direction", checks.number, "direction")
 
@@ -370,7 +368,9 @@ class Configuration(InTable):
         if _absent(self.modes):
             self._put("modes", checks.frozen(np.arange(1, count + 1)))
         else:
-            self._check("modes", checks.ascending_whole, most=MOST_STORIES, length=count, each=", one a frequency")
+            self._check(
+                "modes", checks.ascending_whole, most=checks.MOST_STORIES, length=count, each=", one a frequency"
+            )
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
 
     def _check_covariance(self, value: object) -> None:
@@ -417,7 +417,7 @@ class Configuration(InTable):
             if not width:
                 raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
             each = ", one an entry in each row of mode_shapes"
-            self._check("measured_floors", checks.ascending_whole, most=MOST_STORIES, length=width, each=each)
+            self._check("measured_floors", checks.ascending_whole, most=checks.MOST_STORIES, length=width, each=each)
         if width:
             self._refuse_empty_shapes(self.mode_shapes)
             if (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
@@ -527,7 +527,7 @@ class Configuration(InTable):
                     f"stories has {most}"
                 )
         added = self.added_mass if len(self.added_mass) else np.zeros(stories)
-        return dataclasses.replace(self, added_mass=added, measured_floors=floors)
+        return replace(self, added_mass=added, measured_floors=floors)
 
     @property
     def highest_floor(self) -> int:
@@ -561,7 +561,7 @@ class Configuration(InTable):
 
     def unloaded(self, name: str) -> Configuration:
         """Return a test of a state of its own with the same sensors and no added mass."""
-        return dataclasses.replace(self, name=name, state=name, added_mass=np.zeros(len(self.added_mass)))
+        return replace(self, name=name, state=name, added_mass=np.zeros(len(self.added_mass)))
 
     @cached_property
     def known_shapes(self) -> Floats:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from cvxshear.util import checks
-from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Json
@@ -61,7 +59,7 @@ class InTable(checks.ReadOnlyArrays):
         """Take an object, or read a table whose keys are the fields; `given` has values for absent fields."""
         if isinstance(declared, cls):
             return declared
-        names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]  # every subclass is one
+        names = [item.name for item in fields(cls)]  # type: ignore[arg-type]  # every subclass is one
         table = checks.keys(declared, names, required, where, elsewhere=elsewhere)
         return cls(**given | {key: value for key, value in table.items() if value is not None or key in required})
 
@@ -136,7 +134,7 @@ class Frame(InTable):
     def __post_init__(self) -> None:
         # The default 0 means "not given"; False or an empty array, which equal 0, are values.
         if type(self.stories) is not int or self.stories != 0:
-            checks.put(self, "stories", checks.whole, "frame: stories", least=1, most=MOST_STORIES)
+            checks.put(self, "stories", checks.whole, "frame: stories", least=1, most=checks.MOST_STORIES)
         checks.put(self, "story_heights", self._checked_heights, "frame: story_heights")
         checks.put(self, "total_mass", checks.number, "frame: total_mass", above=0.0)
         if self.floor_masses is not None:
@@ -198,7 +196,7 @@ class Frame(InTable):
         if isinstance(declared, list):
             raise InputError(f"[frame] must be one table, in single brackets, not a list: {checks.shown(declared)}")
         if isinstance(declared, Mapping) and declared.get("stories") is not None:
-            checks.whole(declared["stories"], "frame: stories", least=1, most=MOST_STORIES)
+            checks.whole(declared["stories"], "frame: stories", least=1, most=checks.MOST_STORIES)
         return Frame.of_table(declared, "frame", elsewhere=elsewhere)
 
     @property
@@ -259,7 +257,7 @@ class Heading(InTable):
         InputError
             Where a key is unknown or its value no text.
         """
-        table = dict(checks.keys(declared, [item.name for item in dataclasses.fields(Heading)], [], "report"))
+        table = dict(checks.keys(declared, [item.name for item in fields(Heading)], [], "report"))
         # TOML has dates of its own.
         if isinstance(table.get("date"), datetime.date):
             table["date"] = table["date"].isoformat()
@@ -427,7 +425,7 @@ class StaticTest(InTable):
 
     def in_frame(self, stories: int) -> StaticTest:
         """Return the test for a frame of the given number of stories, with the added mass filled in."""
-        return self if len(self.added_mass) else dataclasses.replace(self, added_mass=np.zeros(stories))
+        return self if len(self.added_mass) else replace(self, added_mass=np.zeros(stories))
 
     @property
     def measured(self) -> Bools:

@@ -5,9 +5,8 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +26,12 @@ from cvxshear.measurement.declaration import (
 from cvxshear.motions import ONE_MOTION, SYMMETRIC_MOTIONS, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks, decorators
-from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
 from cvxshear.util.results import Shown, as_table, ask
 from cvxshear.util.typing import Floats, Ints, Json, T
 
 __all__ = [
-    "DAMPING_KINDS", "MOST_STORIES", "MOTIONS", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame",
+    "DAMPING_KINDS", "MOTIONS", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame",
     "Limits", "Prior", "StaticTest", "Tested",
 ]  # fmt: skip
 
@@ -96,7 +94,7 @@ class Experiment(Shown):
         self._check_names()
         self._check_motions()
         stories = self._count_stories()
-        put(self, "frame", dataclasses.replace(self.frame, stories=stories))
+        put(self, "frame", replace(self.frame, stories=stories))
         motions = len(self.frame.motions)
         put(self, "configurations", tuple(each.in_frame(stories, motions) for each in self.configurations))
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
@@ -168,8 +166,8 @@ class Experiment(Shown):
         for key, count in others:
             if count != stories:
                 raise InputError(f"{key} speaks of {count} stories, {first} of {stories}; they must agree")
-        if stories > MOST_STORIES:
-            raise InputError(f"{first} speaks of {stories} stories; {MOST_STORIES} are the most that are taken")
+        if stories > checks.MOST_STORIES:
+            raise InputError(f"{first} speaks of {stories} stories; {checks.MOST_STORIES} are the most that are taken")
         return stories
 
     @property
@@ -209,8 +207,8 @@ class Experiment(Shown):
         InputError
             Naming the key, the value found and what would be right.
         """
-        frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
-        tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
+        frame_keys = {item.name: "[frame]" for item in fields(Frame)}
+        tested_keys = {item.name: "[[configuration]]" for item in fields(Configuration)}
         tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report", "limits"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
@@ -363,7 +361,7 @@ class Experiment(Shown):
 
     def with_priors(self, priors: Sequence[Prior]) -> Experiment:
         """Add these priors to those declared."""
-        return dataclasses.replace(self, priors=(*self.priors, *priors)) if priors else self
+        return replace(self, priors=(*self.priors, *priors)) if priors else self
 
 
 def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:

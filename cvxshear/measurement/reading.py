@@ -7,7 +7,6 @@ sign r - 1 times at most. Entries that noise could have turned round count in fa
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -200,4 +199,4 @@ def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[st
     once = tuple(each for each in experiment.configurations if each.name not in copies)
     states = {each.state for each in once} | {each.state for each in experiment.static}
     expected = tuple(each for each in experiment.expected if each.state is None or each.state in states)
-    return dataclasses.replace(experiment, configurations=once, expected=expected), repeated
+    return replace(experiment, configurations=once, expected=expected), repeated

@@ -13,8 +13,6 @@ Blocks differ if the mean square between them exceeds the mean square within by 
 their covariance over the number of blocks is the mean's, however many repeats each block has.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,10 +152,10 @@ class Repeats(InTable):
         )
 
 
-def student_factor(dof: int) -> float:
-    """Return the ratio of the 95 % quantiles of Student's t and of the normal distribution."""
+def student_factor(dof: Floats | int) -> Floats:
+    """Return the ratio of the 95 % quantiles of Student's t and of the normal distribution, in the shape of `dof`."""
     tail = 0.5 * (1.0 + quantities.SURE)
-    return float(special.stdtrit(dof, tail) / special.ndtri(tail))
+    return np.asarray(special.stdtrit(dof, tail) / special.ndtri(tail))
 
 
 def covariance_of_mean(values: Floats) -> Floats:
@@ -214,6 +212,5 @@ def mean_shapes(shapes: Floats, *, free: bool) -> tuple[Floats, Floats | None]:
             f"shape {np.flatnonzero(there & (scatter == 0))[0] + 1} is the same in every test, so that its scatter is "
             "unknown: write more digits, or give mode_shapes and mode_shape_std in place of repeated shapes"
         )
-    factor = np.array([student_factor(int(each)) for each in dof])
-    std = np.where(there, factor * scatter, 1.0) / np.where(there, np.max(np.abs(mean), axis=1), 1.0)
+    std = np.where(there, student_factor(dof) * scatter, 1.0) / np.where(there, np.max(np.abs(mean), axis=1), 1.0)
     return np.where(known, mean, np.nan), np.repeat(std[:, None], mean.shape[1], axis=1)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.fit.identification import identify
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups, three_story
+from cvxshear.paper.scatter import NoiseStudy, noise_study
+from cvxshear.paper.setups import paper_setups, three_story
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -203,7 +203,7 @@ def same_digits(number: float, printed: str) -> bool:
 
 
 def reproduce(
-    backend: str | Backend = "auto", samples: Sequence[int] = (100, 10_000), seed: int = 2023
+    backend: str | backends.Backend = "auto", samples: Sequence[int] = (100, 10_000), seed: int = 2023
 ) -> Reproduction:
     """Recompute Tables 1 to 8, the numbers of iterations and the coefficients of variation of Fig. 6.
 
@@ -238,7 +238,7 @@ def exact_modes() -> Experiment:
     return Experiment(frame, (Configuration(frequencies, shapes, "exact modes"),), name="three stories")
 
 
-def exact_sections(backend: str | Backend) -> Iterator[PaperSection]:
+def exact_sections(backend: str | backends.Backend) -> Iterator[PaperSection]:
     """Compute Tables 1 and 2, the numbers of iterations, and the errors stated in the text, from exact modes."""
     experiment, starts = exact_modes(), PRINTED["initial_mass"]
     parts = {
@@ -341,7 +341,7 @@ def _figure_6(study: NoiseStudy) -> PaperSection:
     return PaperSection(f"Fig. 6: coefficients of variation, {study.samples:,} samples", table, (enlarged,))
 
 
-def steel_sections(backend: str | Backend) -> Iterator[PaperSection]:
+def steel_sections(backend: str | backends.Backend) -> Iterator[PaperSection]:
     """Compute Tables 4 to 8 and the conclusions of Section 7; each structure is identified separately."""
     experiment = load("paper")
     tested = {each.name: each for each in experiment.configurations}

@@ -8,222 +8,23 @@ the squared condition number; this costs no visible accuracy for frames of a few
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import linalg
 
 from cvxshear.fit.identification import METHODS, identify
-from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.paper_methods import MOST_ITERATIONS, TOLERANCE
-from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.model import mass_matrix, modes, stiffness_matrix, transformation
+from cvxshear.model import transformation
+from cvxshear.paper.setups import Setup, bound, six_story
 from cvxshear.programs.formulations import pair_normal
-from cvxshear.util import checks, ranking
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.results import InJson, Shown
-from cvxshear.util.typing import Bools, Floats, Ints
-
-
-@dataclass(frozen=True, eq=False)
-class Setup(InJson):
-    """A known frame and a noisy measurement of it.
-
-    Parameters
-    ----------
-    floor_mass : array_like, shape (N,)
-        True floor masses, kg. Their sum is declared as the known total.
-    story_stiffness : array_like, shape (N,)
-        True story stiffnesses, N/m.
-    mode_shape_std : float
-        Standard deviation of a shape entry, defined by `mode_shape_noise`.
-    mode_shape_noise : str, optional
-        Factor of the standard deviation: "multiplicative", the entry itself (Eq. 27); "additive", the mode's largest.
-    frequency_std : float, optional
-        Declared relative standard deviation of the frequencies.
-    exact_frequencies : bool, optional
-        Whether the simulated frequencies have no noise, as in the paper (its Section 5.2).
-    modes : array_like of int, shape (m,), optional
-        Numbers of the measured modes, 1 the lowest; empty for all.
-    measured_floors : array_like of int, shape (n,), optional
-        Empty for all floors.
-    name : str, optional
-
-    Raises
-    ------
-    InputError
-        If the frame, the noise or the selection is not valid.
-    """
-
-    floor_mass: Floats
-    story_stiffness: Floats
-    mode_shape_std: float
-    mode_shape_noise: str = "multiplicative"
-    frequency_std: float = 1e-5
-    exact_frequencies: bool = True
-    modes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    measured_floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    name: str = "frame"
-
-    json_keys = (
-        "name floor_mass story_stiffness modes measured_floors mode_shape_std mode_shape_noise frequency_std "
-        "exact_frequencies"
-    )
-
-    def __post_init__(self) -> None:
-        checks.put(self, "floor_mass", checks.vector, "floor_mass", above=0.0)
-        n = self.stories
-        checks.put(self, "story_stiffness", checks.vector, "story_stiffness", length=n, above=0.0)
-        for key in ("mode_shape_std", "frequency_std"):
-            checks.put(self, key, checks.number, key, above=0.0)
-        checks.choice(self.mode_shape_noise, ("multiplicative", "additive"), "mode_shape_noise")
-        for key in ("modes", "measured_floors"):
-            if not len(getattr(self, key)):
-                object.__setattr__(self, key, np.arange(1, n + 1))
-            checks.put(self, key, checks.ascending_whole, key, most=n)
-
-    @property
-    def stories(self) -> int:
-        """Number of stories N."""
-        return len(self.floor_mass)
-
-    @property
-    def truth(self) -> Floats:
-        """Floor masses, then story stiffnesses, shape (2N,)."""
-        return np.concatenate([self.floor_mass, self.story_stiffness])
-
-    @property
-    def complete(self) -> bool:
-        """Whether all modes are measured at all floors."""
-        return len(self.modes) == len(self.measured_floors) == self.stories
-
-    def exact(self) -> tuple[Floats, Floats]:
-        """Compute the measurement without noise.
-
-        Returns
-        -------
-        frequencies : ndarray, shape (m,)
-            Hz.
-        mode_shapes : ndarray, shape (m, n)
-            One row per mode, largest measured entry 1.
-        """
-        found = modes(mass_matrix(self.floor_mass), stiffness_matrix(self.story_stiffness))
-        which = self.modes - 1
-        shapes = found.shapes[np.ix_(which, self.measured_floors - 1)]
-        largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
-        return found.frequencies[which], shapes / largest[:, None]
-
-    def draw(self, rng: np.random.Generator, samples: int) -> tuple[Floats, Floats]:
-        """Draw noisy measurements.
-
-        Parameters
-        ----------
-        rng : Generator
-        samples : int
-
-        Returns
-        -------
-        frequencies : ndarray, shape (samples, m)
-            Hz.
-        mode_shapes : ndarray, shape (samples, m, n)
-        """
-        frequencies, shapes = self.exact()
-        noise = self.mode_shape_std * rng.standard_normal((samples, *shapes.shape))
-        # Additive noise is proportional to the largest entry of a mode; `exact` scales this entry to 1.
-        noisy = shapes + noise * (shapes if self.mode_shape_noise == "multiplicative" else 1.0)
-        if self.exact_frequencies:
-            return np.tile(frequencies, (samples, 1)), noisy
-        return frequencies * (1.0 + self.frequency_std * rng.standard_normal((samples, len(frequencies)))), noisy
-
-    def experiment(self, frequencies: Floats, mode_shapes: Floats) -> Experiment:
-        """Make one measurement with its declared noise and total mass.
-
-        Parameters
-        ----------
-        frequencies : ndarray, shape (m,)
-        mode_shapes : ndarray, shape (m, n)
-        """
-        # Noise can swap two close frequencies; the shapes then identify the modes.
-        order = np.argsort(frequencies)
-        configuration = Configuration(
-            frequencies=frequencies[order],
-            mode_shapes=mode_shapes[order],
-            measured_floors=self.measured_floors,
-            modes=self.modes,
-            frequency_std=np.full(len(frequencies), self.frequency_std),
-            mode_shape_std=np.full(mode_shapes.shape, self.mode_shape_std),
-            mode_shape_noise=self.mode_shape_noise,
-        )
-        frame = Frame(stories=self.stories, total_mass=float(self.floor_mass.sum()))
-        return Experiment(frame, (configuration,), name=self.name)
-
-
-def three_story(mode_shape_std: float) -> Setup:
-    """Set up the paper's three-story frame (its Section 5.2): all modes at all floors, exact frequencies."""
-    return Setup(
-        floor_mass=np.array([10.0, 7.5, 5.0]),
-        story_stiffness=np.array([1800.0, 1200.0, 600.0]),
-        mode_shape_std=mode_shape_std,
-        name="three stories, all modes at all floors",
-    )
-
-
-def paper_setups(sigmas: Iterable[float] = (0.01, 0.02, 0.03, 0.04, 0.05)) -> tuple[Setup, ...]:
-    """Set up the paper's three-story frame at several noise levels; by default, those of Table 3."""
-    return tuple(three_story(sigma) for sigma in sigmas)
-
-
-def six_story(mode_shape_std: float = 0.01) -> Setup:
-    """Set up a six-story frame with a typical test: four lowest modes, floor 3 not measured, frequencies to 0.1 %."""
-    return Setup(
-        floor_mass=np.array([10.0, 10.0, 9.0, 9.0, 8.0, 6.0]),
-        story_stiffness=np.array([24e3, 22e3, 19e3, 16e3, 12e3, 8e3]),
-        mode_shape_std=mode_shape_std,
-        mode_shape_noise="additive",
-        frequency_std=1e-3,
-        exact_frequencies=False,
-        modes=np.array([1, 2, 3, 4]),
-        measured_floors=np.array([1, 2, 4, 5, 6]),
-        name="six stories, four modes at five floors",
-    )
-
-
-def cramer_rao(setup: Setup) -> Floats:
-    """Compute the smallest covariance of floor masses and story stiffnesses of an unbiased estimator.
-
-    The covariance is Z (Z' J'J Z)^-1 Z'. J has the derivatives of the standardized data at the true frame, with the
-    scale of each shape eliminated. Z spans the changes that keep the total mass (Stoica and Ng, 1998).
-
-    Parameters
-    ----------
-    setup : Setup
-
-    Returns
-    -------
-    ndarray, shape (2N, 2N)
-        Floor masses first, then story stiffnesses; kg and N/m.
-
-    Notes
-    -----
-    The standard deviation of multiplicative noise depends on the parameters, too. The information from this dependence,
-    a fraction 2 sigma^2 of the entries' information (half a percent at sigma = 5 %), is left out: the declared standard
-    deviations count as constants.
-    """
-    truth = setup.truth
-    # Derivatives by relative changes, so that kg and N/m have the same size.
-    J = Misfit(setup.experiment(*setup.exact())).evaluate(truth).J * truth
-    Z = linalg.null_space(np.concatenate([setup.floor_mass, np.zeros(setup.stories)])[None])
-    root = truth[:, None] * Z @ np.linalg.inv(np.linalg.qr(J @ Z, mode="r"))
-    return np.asarray(root @ root.T)
-
-
-def bound(setup: Setup) -> Floats:
-    """Compute the smallest standard deviation of each mass and stiffness, shape (2N,), kg and N/m."""
-    return np.asarray(np.sqrt(np.diag(cramer_rao(setup))))
+from cvxshear.util.typing import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,12 +236,9 @@ def _estimates(
     samples = len(shapes)
     both = np.full((samples, 2, 2 * setup.stories), np.nan)
     one_by_one = np.arange(samples)
-    if setup.complete and method in ("two-stage", "one-shot"):
-        total = float(setup.floor_mass.sum())
-        closed_form = two_stage_batch if method == "two-stage" else one_shot_batch
-        batch = closed_form(shapes, frequencies, total)
-        both[:, 0] = np.hstack([batch.floor_mass, batch.story_stiffness])
-        one_by_one = np.flatnonzero(~batch.positive)
+    if setup.complete and method in CLOSED_FORMS:
+        both[:, 0] = CLOSED_FORMS[method](shapes, frequencies, float(setup.floor_mass.sum()))
+        one_by_one = np.flatnonzero(np.isnan(both[:, 0, 0]))
     before = samples - len(one_by_one)
     identified = each(
         partial(_identified, setup, method, backend),
@@ -466,29 +264,7 @@ def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats,
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Floor masses and story stiffnesses of S samples.
-
-    Parameters
-    ----------
-    floor_mass, story_stiffness : ndarray, shape (S, N)
-        kg and N/m; nan for samples that are not `positive`.
-    iterations : ndarray of int, shape (S,)
-    positive : ndarray of bool, shape (S,)
-        Whether all masses, in each iteration, and all stiffnesses are positive. Otherwise a bound is active in
-        `identify`, and the closed form differs from its answer.
-    """
-
-    floor_mass: Floats
-    story_stiffness: Floats
-    iterations: Ints
-    positive: Bools
-
-
-def two_stage_batch(
-    mode_shapes: Floats, frequencies: Floats, total_mass: float, initial_mass: Floats | None = None
-) -> Batch:
+def two_stage_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Floats:
     """Apply the paper's method (Eqs. 3-15 and 20-24) to S complete measurements of one configuration.
 
     Parameters
@@ -499,44 +275,38 @@ def two_stage_batch(
         Hz.
     total_mass : float
         kg.
-    initial_mass : ndarray, shape (N,), optional
-        By default, the total spread evenly.
+
+    Returns
+    -------
+    ndarray, shape (S, 2N)
+        Floor masses, then story stiffnesses, kg and N/m. A row is nan if a mass, in any iteration, or a stiffness is
+        not positive: a bound is active in `identify` then, and the closed form differs from its answer.
     """
     samples, n, _ = mode_shapes.shape
     shapes = mode_shapes.transpose(0, 2, 1)
-    start = np.full(n, total_mass / n) if initial_mass is None else np.asarray(initial_mass, dtype=float)
-    mass = np.tile(start, (samples, 1))
-    iterations = np.zeros(samples, dtype=np.int64)
+    mass = np.full((samples, n), total_mass / n)
     going = np.arange(samples)
     for _ in range(MOST_ITERATIONS):
         dm = _corrections(shapes[going], mass[going], total_mass)
         mass[going] += dm
-        iterations[going] += 1
         settled = np.max(np.abs(dm), axis=1) < TOLERANCE * np.max(np.abs(mass[going]), axis=1)
         # Eq. 3 needs positive masses: samples with other masses are given up.
         going = going[~settled & (mass[going] > 0).all(axis=1)]
         if not len(going):
             break
-    return _finished(shapes, frequencies, mass, iterations)
+    return _with_stiffnesses(shapes, frequencies, mass)
 
 
-def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Batch:
-    """Compute masses from the modes' orthogonality and the total, stiffnesses from Eq. 24, on S measurements.
-
-    Parameters
-    ----------
-    mode_shapes : ndarray, shape (S, N, N)
-        One row per mode, of any scale.
-    frequencies : ndarray, shape (S, N)
-        Hz.
-    total_mass : float
-        kg.
-    """
+def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Floats:
+    """Compute masses from the modes' orthogonality and the total, stiffnesses from Eq. 24, as `two_stage_batch`."""
     shapes = mode_shapes.transpose(0, 2, 1)
     unit = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
     normal = pair_normal(unit, diagonal=False)
-    mass = _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass)
-    return _finished(shapes, frequencies, mass, np.ones(len(shapes), dtype=np.int64))
+    return _with_stiffnesses(shapes, frequencies, _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass))
+
+
+#: Methods that have a closed form for all complete samples at once.
+CLOSED_FORMS = {"two-stage": two_stage_batch, "one-shot": one_shot_batch}
 
 
 def _normalized(shapes: Floats, mass: Floats) -> Floats:
@@ -564,14 +334,11 @@ def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
     return np.asarray(np.linalg.solve(system, right[:, :, None])[:, :n, 0])
 
 
-def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Ints) -> Batch:
-    """Apply Eq. 24 to the samples with positive masses."""
-    stiffness = np.full(mass.shape, np.nan)
-    positive: Bools = np.asarray((mass > 0).all(axis=1))
+def _with_stiffnesses(shapes: Floats, frequencies: Floats, mass: Floats) -> Floats:
+    """Apply Eq. 24 to the samples with positive masses; return masses and stiffnesses."""
+    positive = (mass > 0).all(axis=1)
+    found = np.hstack([mass, np.full(mass.shape, np.nan)])
     X = transformation(mass.shape[1]).T @ _normalized(shapes[positive], mass[positive])
     side = np.sum(X**2 * ((2 * np.pi * frequencies[positive]) ** 2)[:, None, :], axis=2)
-    stiffness[positive] = np.linalg.solve(pair_normal(X), side[:, :, None])[:, :, 0]
-    positive &= (stiffness > 0).all(axis=1)
-    return Batch(
-        np.where(positive[:, None], mass, np.nan), np.where(positive[:, None], stiffness, np.nan), iterations, positive
-    )
+    found[positive, mass.shape[1] :] = np.linalg.solve(pair_normal(X), side[:, :, None])[:, :, 0]
+    return np.where((found > 0).all(axis=1, keepdims=True), found, np.nan)

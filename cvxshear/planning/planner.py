@@ -3,9 +3,8 @@
 The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,8 @@ from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
-from cvxshear.planning.design import UNKNOWN_STD, Declared, Design, TestModel, read_design
+from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
+from cvxshear.planning.expected_tests import Declared, TestModel
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.errors import InputError
@@ -168,7 +168,7 @@ class Plan(Shown):
                 if each.name in self.names else each
                 for each in experiment.configurations
             ]  # fmt: skip
-            experiment = dataclasses.replace(experiment, configurations=tuple(bare))
+            experiment = replace(experiment, configurations=tuple(bare))
         return other_frames(efficient(experiment, backend), backend)
 
     @cached_property
@@ -176,17 +176,17 @@ class Plan(Shown):
         """What would lower the deviations, the cheapest first, each with the typical deviations that it leads to."""
         model, floors = self.model, self.chosen.choice.chosen
         n, noise = model.design.stories, model.noise
-        share = np.concatenate([model.design.floor_mass, np.zeros(n)]) / model.design.floor_mass.sum()
-        found = {}
+        share = model.design.share_of_total
+        found: dict[str, tuple[TestModel, Ints, Floats | None]] = {}
         if np.linalg.norm(share @ free_changes(model.fixed)) > KNOWN_EXACTLY:
-            found["weigh the frame"] = model, floors, share[None]
+            found["weigh the frame"] = model, floors, share
         if self.more is not None:
             found["one sensor more"] = model, self.more.choice.chosen, None
         exact = Declared(noise.frequency_std / 2, noise.mode_shape_std / 2)
-        found["half the noise: records four times as long"] = dataclasses.replace(model, noise=exact), floors, None
+        found["half the noise: records four times as long"] = replace(model, noise=exact), floors, None
         if free := [mode for mode in range(n) if mode not in model.which]:
             which = np.sort([*model.which, free[0]])
-            found[f"mode {free[0] + 1} as well"] = dataclasses.replace(model, which=which), floors, None
+            found[f"mode {free[0] + 1} as well"] = replace(model, which=which), floors, None
         return {
             name: typical_std(each.averaged([each.expected(test) for test in self.tests], at, known))
             for name, (each, at, known) in found.items()
@@ -240,7 +240,7 @@ def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
     entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
     shapes, std = entries[:, floors], test.mode_shape_std
     assert std is not None, "an expected test declares its noise"
-    return dataclasses.replace(
+    return replace(
         test,
         name=name,
         mode_shapes=shapes,

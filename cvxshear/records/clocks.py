@@ -20,7 +20,7 @@ from operator import itemgetter
 import numpy as np
 from scipy import special
 
-from cvxshear.records.prepare import SEGMENT, in_step, struck, without
+from cvxshear.records import prepare
 from cvxshear.records.record import Finding, TimeRecord, finding
 from cvxshear.util import quantities, ranking
 from cvxshear.util.decorators import cached_property
@@ -29,9 +29,9 @@ from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 #: Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a sensor is slow,
 #: that a gain steps, that a channel carries no motion, is reversed or in another's place, and that a mode was missed.
 FAULTY = 0.02
-#: Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. A delay of 1 to 2 ms is as
-#: probable as one of 1 to 2 s.
-LONGEST_DELAY = 2.6
+#: Longest delay, s: the segments of two channels then still share seven eighths; loggers started by hand are two
+#: seconds apart. A delay of 1 to 2 ms is as probable as one of 1 to 2 s.
+LONGEST_DELAY = prepare.SEGMENT / 8
 #: Samples; the phases of the modes determine shorter delays more exactly.
 SHORTEST_DELAY = 0.5
 #: Corners of a first-order low-pass, over the sampling rate, a tenth apart: a lower one leaves no mode in the channel,
@@ -87,8 +87,8 @@ class Segments:
     def of(record: TimeRecord) -> Segments:
         """Cut a record into segments and transform them."""
         rate = record.sampling_rate
-        length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
-        blows = struck(record)
+        length = min(int(prepare.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+        blows = prepare.struck(record)
         decaying = blows or record.input == "free_decay"
         window = _window(length, decaying=decaying)
         spectra, times, started = [], [], 0
@@ -437,8 +437,8 @@ def with_right_channels(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         else:
             wrong[clock] = fault.late
             segments = segments.earlier(clock, *fault.late)
-    record = without(record, findings)
-    return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
+    record = prepare.without(record, findings)
+    return (prepare.in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
 #: What the size of a fault that cannot be mended is called.

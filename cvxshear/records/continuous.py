@@ -25,8 +25,6 @@ variates (Arun and Kung 1990, "Balanced approximation of stochastic systems", SI
 unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 
@@ -90,8 +88,7 @@ class Triangles:
 def _joined(first: Floats, second: Floats) -> Floats:
     """Triangle of two one above the other, which LAPACK makes without a look at their zeros."""
     size = len(first)
-    triangle: Floats = linalg.lapack.dtpqrt(size, size, first, second)[0]
-    return triangle
+    return np.asarray(linalg.lapack.dtpqrt(size, size, first, second)[0])
 
 
 #: Block rows of past and future: a minimum, and samples for each state of the frame.

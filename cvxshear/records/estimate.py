@@ -4,10 +4,10 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy import special
 from scipy.optimize import nnls
 
 from cvxshear.measurement.configuration import Sensor
+from cvxshear.measurement.repeats import student_factor
 from cvxshear.records import frf, picking, pole_sweep
 from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
@@ -207,7 +207,7 @@ def covariance(setting: Replication, full: Details) -> tuple[Floats, str, int]:
             result, how = _widened(result, disturbed(setting, full)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
-            factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
+            factor = student_factor(freedom)
             result = result * np.outer(factor, factor)
         return result, how, lost
     return disturbed(setting, full), f"{SURROGATES} surrogates of the residual", 0
@@ -231,8 +231,7 @@ def disturbed(setting: Replication, full: Details) -> Floats:
     `SURROGATES` times (parametric bootstrap).
     """
     impulse = setting.source.impulse()
-    if impulse is None:
-        raise InputError("the record is too short to be cut into blocks")
+    assert impulse is not None, "a record without impulse responses has blocks"
     fit = _fit(impulse, full.eigenvalues - setting.record.window_decay, setting.source.sampling_rate)
     residual = impulse.sequence[impulse.start :] - fit
     random = np.random.default_rng(0)

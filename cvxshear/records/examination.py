@@ -5,8 +5,6 @@ direction from its center. Sensors with declared positions give U and t by least
 center far beyond the sensors, U is their mean.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 

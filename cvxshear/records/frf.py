@@ -4,6 +4,8 @@ H1 = S_yf / S_ff is free of the response's noise, H2 = S_yy / S_fy of the force'
 "Random Data", 4th ed., sec. 6.1), the spectra summed over the hits at one floor.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Sequence
 
@@ -100,6 +102,16 @@ class Spectra:
     response_response: Floats
     floor: int
 
+    @staticmethod
+    def together(runs: Sequence[Spectra]) -> Spectra:
+        """Sum the spectra of several runs."""
+        return Spectra(
+            np.sum([each.response_force for each in runs], axis=0),
+            np.sum([each.force_force for each in runs], axis=0),
+            np.sum([each.response_response for each in runs], axis=0),
+            runs[0].floor,
+        )
+
 
 class FrfSource(pole_sweep.Source):
     """Responses to forces at one or several floors, for the eigensystem realization algorithm.
@@ -162,7 +174,7 @@ class FrfSource(pole_sweep.Source):
         self.energies = np.array([float(item.response_response.sum()) for item in spectra])
         self._roots: dict[int, Floats] = {}
         for floor in self.floors.tolist():
-            power = np.sum([item.force_force for item in spectra if item.floor == floor], axis=0)
+            power = Spectra.together([item for item in spectra if item.floor == floor]).force_force
             self._roots[floor] = np.sqrt(power + LEAST_FORCE * power.max())
         self._stop = samples
         pulse = np.abs(self._answered(None)[1][: samples // 2 + 1])
@@ -175,7 +187,7 @@ class FrfSource(pole_sweep.Source):
             raise InputError("too few samples are left once the blow is over; record longer, or hit with a harder tip")
         self._own = None
         if min(counts) >= FEWEST_CROSSED:
-            each = (self._response([item]) for item in spectra)
+            each = map(self._response, spectra)
             self._own = np.array([_product(markov_hankel(sequence[:, :, None], self._start)) for sequence in each])
 
     @property
@@ -215,14 +227,13 @@ class FrfSource(pole_sweep.Source):
         """Return the responses, the pulses that they answer to, and the floors where these act."""
         used = self.spectra if keep is None else [s for s, k in zip(self.spectra, keep, strict=True) if k]
         floors = np.unique([item.floor for item in used])
-        hits = [[item for item in used if item.floor == floor] for floor in floors]
-        powers = [np.sum([hit.force_force for hit in each], axis=0) / self._roots[each[0].floor] for each in hits]
-        pulses = [np.fft.irfft(power, n=self.samples) for power in powers]
+        hits = [Spectra.together([item for item in used if item.floor == floor]) for floor in floors]
+        pulses = [np.fft.irfft(each.force_force / self._roots[each.floor], n=self.samples) for each in hits]
         return np.stack([self._response(each) for each in hits], axis=2), np.column_stack(pulses), floors
 
-    def _response(self, hits: Sequence[Spectra]) -> Floats:
+    def _response(self, hits: Spectra) -> Floats:
         """Return the response to the pulse that hits at one floor make together, shape (samples, outputs)."""
-        cross = np.sum([hit.response_force for hit in hits], axis=0) / self._roots[hits[0].floor][:, None]
+        cross = hits.response_force / self._roots[hits.floor][:, None]
         return np.fft.irfft(cross, n=self.samples, axis=0)[: self._stop]
 
 
@@ -304,7 +315,8 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
         raise InputError(f"a hit leaves only {samples} samples after the blow; record longer or trigger earlier")
     result = []
     for run, start in zip(record.runs, starts, strict=True):
-        force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples], 2 * samples)
+        assert run.excitation is not None
+        force = np.fft.rfft(_quiet_after_blow(run.excitation)[start : start + samples], 2 * samples)
         response = np.fft.rfft(run.responses[start : start + samples], 2 * samples, axis=0)
         result.append(Spectra(np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor))
     return result, 2 * samples
@@ -313,7 +325,7 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
 def reach(record: TimeRecord) -> float:
     """Find the first frequency, Hz, without energy of the blows, or half the sampling rate."""
     spectra, samples = hit_spectra(record)
-    power = np.sum([item.force_force for item in spectra], axis=0)
+    power = Spectra.together(spectra).force_force
     weak = np.flatnonzero(power < WEAKEST_FORCE * power.max())
     weak = weak[weak > np.argmax(power)]
     return float(weak[0] if weak.size else len(power) - 1) * record.sampling_rate / samples
@@ -321,7 +333,8 @@ def reach(record: TimeRecord) -> float:
 
 def hit_start(run: Run) -> int:
     """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
-    force = np.abs(_excitation(run))
+    assert run.excitation is not None
+    force = np.abs(run.excitation)
     loud = np.flatnonzero(force > 0.02 * force.max())
     blow = int(np.argmax(force))
     start = blow
@@ -343,9 +356,3 @@ def _quiet_after_blow(force: Floats) -> Floats:
     window = np.zeros(len(force))
     window[max(0, first - margin) : last + margin + 1] = 1.0
     return force * window
-
-
-def _excitation(run: Run) -> Floats:
-    if run.excitation is None:
-        raise InputError(f"{run.name} has no force channel")
-    return run.excitation

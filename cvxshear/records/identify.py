@@ -66,7 +66,7 @@ class ModeSearch:
     def settled(self, record: Record) -> SourceAndSweep:
         """Find the sampling rate that suits the modes, and source and sweep at it."""
         best, factor = self.tried(record), 1
-        while record.band is None and not self._suits(best, record):
+        while record.band is None and (len(best[1].chosen) < self.wanted(record) or _too_low(best)):
             factor *= 2
             band = (0.0, record.sampling_rate / (2.5 * factor))
             if band[1] < max(self.picked, default=0.0):
@@ -81,9 +81,6 @@ class ModeSearch:
             if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
                 best = trial
         return best
-
-    def _suits(self, found: SourceAndSweep, record: Record) -> bool:
-        return len(found[1].chosen) == self.wanted(record) and not _too_low(found)
 
     def repaired(self, record: Record) -> tuple[Record, SourceAndSweep, list[Finding]]:
         """Set channels right that the lowest modes show to be wrong; source and sweep of the record come second."""

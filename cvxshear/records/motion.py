@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 
-from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.examination import one_a_floor
 from cvxshear.records.record import RECORDED_QUANTITIES, TimeRecord
 from cvxshear.util import checks
@@ -129,7 +127,7 @@ class DrivenRecord(checks.ReadOnlyArrays):
             raise InputError("record: at least one run is needed")
         for run in self.runs:
             if self.input == "force":
-                checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=MOST_STORIES)
+                checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=checks.MOST_STORIES)
             if run.responses is not None and run.responses.shape[1] != len(self.floors):
                 raise InputError(
                     f"{run.name}: the responses have {run.responses.shape[1]} columns, {len(self.floors)} floors "
@@ -155,8 +153,8 @@ class DrivenRecord(checks.ReadOnlyArrays):
     def replaced(self, floors: Ints | None = None, **arrays: Iterable[Floats]) -> DrivenRecord:
         """Return the record with other arrays in its runs, one per run for each field, and other floors if given."""
         every = [dict(zip(arrays, values, strict=True)) for values in zip(*arrays.values(), strict=True)]
-        runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
-        return dataclasses.replace(self, runs=tuple(runs), floors=self.floors if floors is None else floors)
+        runs = (replace(run, **each) for run, each in zip(self.runs, every, strict=True))
+        return replace(self, runs=tuple(runs), floors=self.floors if floors is None else floors)
 
     def band_limited(self) -> DrivenRecord:
         """Take the excitation as band-limited between its samples, not as straight lines."""
@@ -180,7 +178,7 @@ class DrivenRecord(checks.ReadOnlyArrays):
             Where the record does not say what drove the frame.
         """
         added = None if added_mass is None else np.asanyarray(added_mass, dtype=np.float64)
-        return dataclasses.replace(of_channels(one_a_floor(record)[0]), added_mass=added, state=state)
+        return replace(of_channels(one_a_floor(record)[0]), added_mass=added, state=state)
 
 
 def of_channels(record: TimeRecord) -> DrivenRecord:

@@ -20,8 +20,8 @@ MOSTLY_ROTATION = "mostly rotation"
 #: Of the loudest resonance's energy: fainter ones may be of noise.
 FAINT = 1e-3
 
-#: Relative distance to another resonance within which none of a frame's two lowest modes lies: the third is half as
-#: high again as the second. A frequency that follows the amplitude splits into two with one shape.
+#: Relative distance of two resonances with one shape that are one mode: a frequency that follows the amplitude splits
+#: into two, and the third mode of a frame is half as high again as the second.
 BESIDE = 0.1
 
 #: Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
@@ -247,12 +247,16 @@ def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
 
     The straight line through the phases gives each mode the same weight. The phase of a pole of noise means nothing.
     """
-    usable = [item for item in found if item.physical]
-    if len(usable) < 2 or len(usable[0].shape) < 2:
+    if sum(item.physical for item in found) < 2 or len(found[0].shape) < 2:
         return None
-    strong = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
-    loud = Values.of(strong)
+    loud = Values.of(_loud(found))
     return clocks.offsets(loud.eigenvalues, loud.shapes).seconds
+
+
+def _loud(found: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+    """Select the physical candidates that are not faint."""
+    usable = [item for item in found if item.physical]
+    return [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
 
 
 def _set_aside(
@@ -325,20 +329,8 @@ def _numbered(usable: list[PoleCandidate], count: int, *, whole: bool) -> list[P
 
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     """Frequencies and real shapes of the lowest resonances that hold a part of the energy worth the name."""
-    usable = [item for item in sweep.candidates if item.physical]
-    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
-    # A clipped channel has poles of its own close to each mode.
-    loud = [
-        item
-        for item in loud
-        if not any(
-            other.energy > item.energy and abs(other.frequency - item.frequency) < BESIDE * item.frequency
-            for other in loud
-        )
-    ][:count]
-    if not loud:
-        return np.zeros(0), np.zeros((0, 0))
-    return np.array([item.frequency for item in loud]), np.array([real_shape(item.shape) for item in loud])
+    lowest = _loud(sweep.candidates)[:count]
+    return np.array([item.frequency for item in lowest]), np.array([real_shape(item.shape) for item in lowest])
 
 
 class Parts:

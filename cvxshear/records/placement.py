@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.records import prepare
+from cvxshear.records import frf, picking, prepare
 from cvxshear.records.clocks import FAULTY
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import quantities, ranking
@@ -191,8 +191,8 @@ def _rises(low: Floats, high: Floats) -> float:
 
 
 def _changes(shape: Floats) -> int:
-    sure = shape[np.abs(shape) > SHAPE_ERROR]
-    return int(np.sum(np.sign(sure[1:]) != np.sign(sure[:-1])))
+    """Count the changes of sign that are sure."""
+    return picking.possible_changes(shape, SHAPE_ERROR)[0]
 
 
 def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel], first: Floats) -> list[Finding]:
@@ -330,23 +330,12 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
     right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
     """
-    rate = record.sampling_rate
-    if record.quantity != "acceleration" or any(
-        run.excitation is None or prepare.impulsive(run) for run in record.runs
-    ):
+    if record.quantity != "acceleration" or any(map(prepare.impulsive, record.runs)):
         return None
-    length = min(int(prepare.SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
-    if length < 64:
-        return None
-    columns = len(record.channels) + 1
-    cross, power = np.zeros((length // 2 + 1, columns), dtype=np.complex128), np.zeros((length // 2 + 1, columns))
-    for run in prepare.detrended(record).runs:
-        assert run.excitation is not None
-        each, own = prepare.welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
-        cross, power = cross + run.samples * each, power + run.samples * own
-    frequencies, base = rate / length * np.arange(length // 2 + 1), power[:, :1]
-    cross, power = cross[:, 1:], power[:, 1:]
-    transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
+    frequencies, spectra = prepare.driven_spectra(record)
+    whole = frf.Spectra.together(spectra)
+    cross, base = whole.response_force, whole.force_force[:, None]
+    transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * whole.response_response)
     # A table hardly moves at the lowest frequencies; incoherent lines give no transmissibility.
     heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)
     heard = heard[heard > 1]

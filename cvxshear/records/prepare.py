@@ -3,8 +3,6 @@
 Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -138,23 +136,44 @@ def in_step(record: TimeRecord, late: Mapping[str, tuple[float, float]]) -> Time
     TimeRecord
         Runs without the ends for which some channel has no samples.
     """
-    rate, started, runs = record.sampling_rate, 0, []
+    delays = np.array([late.get(name, (0.0, 0.0)) for name in (*(each.name for each in record.channels), "input")])
+    started, runs = 0, []
     for run in record.runs:
-        index = np.arange(run.samples)
-        moved = {name: rate * (a + b * (started + index) / rate) for name, (a, b) in late.items()}
-        edge = int(np.ceil(max(float(np.abs(each).max()) for each in moved.values()))) + SINC_TERMS // 2
-        inner = slice(edge, run.samples - edge)
-        responses = run.responses[inner].copy()
-        for column, channel in enumerate(record.channels):
-            if channel.name in moved:
-                responses[:, column] = between(run.responses[:, column], (index + moved[channel.name])[inner])
-        excitation = run.excitation
-        if excitation is not None:
-            place = index + moved["input"] if "input" in moved else None
-            excitation = excitation[inner] if place is None else between(excitation, place[inner])
-        runs.append(dataclasses.replace(run, responses=responses, excitation=excitation))
+        inputs = np.zeros((run.samples, 0)) if run.excitation is None else run.excitation[:, None]
+        moved = on_time(np.hstack([run.responses, inputs]), delays, record.sampling_rate, started)
+        responses, excitation = np.split(moved[np.isfinite(moved).all(axis=1)], [len(record.channels)], axis=1)
+        driven = None if run.excitation is None else excitation[:, 0]
+        runs.append(dataclasses.replace(run, responses=responses, excitation=driven))
         started += run.samples
     return dataclasses.replace(record, runs=tuple(runs))
+
+
+def on_time(values: Floats, late: Floats, rate: float, started: int) -> Floats:
+    """Remove the delay of each channel; a sample is nan if a sample that its interpolation needs is missing.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples, channels)
+        nan for missing samples.
+    late : ndarray, shape (channels, 2)
+        s at the start of the record, and s more in each second after.
+    rate : float
+        Sampling rate, Hz.
+    started : int
+        Samples of the record before these.
+    """
+    result, index = values.copy(), np.arange(len(values))
+    for column, own in enumerate(values.T):
+        there = np.isfinite(own)
+        if late[column].any() and there.any():
+            seconds, growth = late[column]
+            places = index + rate * seconds + growth * (started + index)
+            gaps = (~there).astype(np.uint8)
+            unknown = scipy.ndimage.maximum_filter1d(gaps, SINC_TERMS + 1, mode="constant", cval=1)
+            near = np.clip(np.round(places).astype(np.int64), 0, len(values) - 1)
+            moved = between(np.interp(index, index[there], own[there]), places)
+            result[:, column] = np.where(unknown[near].astype(bool), np.nan, moved)
+    return result
 
 
 def between(values: Floats, places: Floats) -> Floats:
@@ -239,7 +258,8 @@ def _hits(record: TimeRecord) -> frf.FrfSource:
 def _refuse_several_hits(record: TimeRecord) -> None:
     """Hits in one run act as one pulse as long as the time between them, which leaves little after it."""
     for run in record.runs:
-        force = np.abs(np.zeros(1) if run.excitation is None else run.excitation)
+        assert run.excitation is not None
+        force = np.abs(run.excitation)
         loud = np.flatnonzero(force > 0.25 * force.max()) / record.sampling_rate
         times = loud[np.append(True, np.diff(loud) > APART)].tolist()
         if times and times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
@@ -271,8 +291,7 @@ def _driven(record: TimeRecord, blocks: int) -> pole_sweep.Source:
     before = 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
-        if run.excitation is None:
-            raise InputError(f"{run.name} lacks the input channel")
+        assert run.excitation is not None
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows)
 
@@ -306,7 +325,8 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
             yield run, start, stop
 
 
-#: s; long beside the longest delay of a clock, short enough that a record has many.
+#: Length, s, of the segments that spectra are averaged over: long beside the delay of a clock, short enough that a
+#: record has many. Half and twice the length name the same faults (`python -m tests.studies record_faults --segment`).
 SEGMENT = 20.0
 #: Of a continuous record; with fewer averages its functions are mostly noise.
 FEWEST_SEGMENTS = 8
@@ -360,31 +380,30 @@ def measured_functions(record: Record, highest: float) -> Functions | None:
         spectra, samples = frf.hit_spectra(without_offset(record))
         lines = np.asarray(np.fft.rfftfreq(samples, 1.0 / rate), dtype=np.float64)
     elif record.input in ("force", "base"):
-        record = detrended(record)
-        shortest = min(run.samples for run in record.runs)
-        segment = max(64, int(min(SEGMENT * rate, 2 * shortest / FEWEST_SEGMENTS))) // 2 * 2
-        spectra = []
-        for run in record.runs:
-            assert run.excitation is not None
-            cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
-            spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
-        lines = np.asarray(np.fft.rfftfreq(segment, 1.0 / rate), dtype=np.float64)
+        lines, spectra = driven_spectra(record)
     else:
         return None
     floors = np.unique([item.floor for item in spectra]).astype(np.int64)
     values = []
     for floor in floors:
-        hits = [item for item in spectra if item.floor == floor]
-        force = np.sum([hit.force_force for hit in hits], axis=0)[:, None]
-        values.append(np.sum([hit.response_force for hit in hits], axis=0) / force)
+        hits = frf.Spectra.together([item for item in spectra if item.floor == floor])
+        values.append(hits.response_force / hits.force_force[:, None])
     kept = (lines > 0) & (lines <= highest)
     whole = np.stack(values, axis=2)[kept]
     return Functions(lines[kept], whole, record.floors, floors, record.quantity, record.window_decay)
 
 
-def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
-    """Cross-spectra of all columns with one, and their own spectra, each of shape (lines, columns)."""
-    part = min(segment, len(columns))
-    _, cross = scipy.signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
-    _, power = scipy.signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
-    return np.asarray(cross), np.asarray(power)
+def driven_spectra(record: TimeRecord) -> tuple[Floats, list[frf.Spectra]]:
+    """Average the spectra of each run over Welch's segments, a long run counting more; the lines, Hz, come first."""
+    record, rate = detrended(record), record.sampling_rate
+    shortest = min(run.samples for run in record.runs)
+    segment = max(64, int(min(SEGMENT * rate, 2 * shortest / FEWEST_SEGMENTS))) // 2 * 2
+    spectra = []
+    for run in record.runs:
+        assert run.excitation is not None
+        columns = np.column_stack([run.excitation, run.responses])
+        _, cross = scipy.signal.csd(columns[:, [0]], columns, rate, nperseg=segment, axis=0)
+        _, power = scipy.signal.welch(columns, rate, nperseg=segment, axis=0)
+        cross, power = run.samples * cross, run.samples * power
+        spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
+    return np.asarray(np.fft.rfftfreq(segment, 1.0 / rate), dtype=np.float64), spectra

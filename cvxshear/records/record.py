@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import FEWEST_SAMPLES, columns_of, matrix_of, sound_pieces
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -76,7 +75,7 @@ class Channel:
 
     def __post_init__(self) -> None:
         checks.text(self.name, "channel: name")
-        checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=MOST_STORIES)
+        checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=checks.MOST_STORIES)
         checks.text(self.axis, f'channel "{self.name}": axis')
         checks.put(self, "unit", checks.text, f'channel "{self.name}": unit')
         if self.position is not None:
@@ -153,7 +152,7 @@ class FrfRun(checks.ReadOnlyArrays):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "responses", matrix_of(self.responses, f"{self.name}: responses", np.complex128))
-        checks.whole(self.floor, f"{self.name}: input_floor", least=1, most=MOST_STORIES)
+        checks.whole(self.floor, f"{self.name}: input_floor", least=1, most=checks.MOST_STORIES)
 
 
 INPUTS = ("none", "free_decay", "force", "base")
@@ -184,7 +183,6 @@ class _Recorded(checks.ReadOnlyArrays):
             raise InputError("record: at least one run is needed")
         if not self.channels:
             raise InputError("record: at least one response channel on a floor is needed")
-        seen: dict[int, Channel] = {}
         for channel in self.channels:
             if channel.floor == 0:
                 raise InputError(f'{channel} is on the ground: it can only be the input, with input = "base"')
@@ -195,11 +193,10 @@ class _Recorded(checks.ReadOnlyArrays):
                     f"{channel} points along {channel.axis}, {self.channels[0]} along {self.channels[0].axis}; "
                     "the channels of a record share one axis"
                 )
-            seen[channel.floor] = channel
-        highest = max(seen)
+        highest = int(self.floors.max())
         if self.stories == 0:
             put(self, "stories", highest)
-        checks.whole(self.stories, "record: stories", least=highest, most=MOST_STORIES)
+        checks.whole(self.stories, "record: stories", least=highest, most=checks.MOST_STORIES)
         checks.put(
             self, "exponential_window", checks.number, "record: exponential_window (time constant, s)", above=0.0
         )
@@ -426,11 +423,6 @@ class FrfRecord(_Recorded):
     def sampling_rate(self) -> float:
         """Twice the highest line: the rate of the impulse responses, Hz."""
         return 2.0 * float(self.frequencies[-1])
-
-    @property
-    def duration(self) -> float:
-        """Length of the impulse responses that the step allows, s."""
-        return 1.0 / self.step
 
 
 Record = TimeRecord | FrfRecord

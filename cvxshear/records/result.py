@@ -194,8 +194,7 @@ class ModalResult(Shown):
         of_floors = [[each["by_mode"] for each in failures if floor in each["floors"]] for floor in self.floors]
         share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
         relative = np.abs(self.mode_shapes) / np.max(np.abs(self.mode_shapes), axis=1, keepdims=True)
-        std: Floats = np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
-        return std
+        return np.asarray(np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0))))
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.

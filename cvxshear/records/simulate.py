@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy import linalg
 
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.records.record import Channel, Run, TimeRecord
 from cvxshear.util.typing import Floats
 
@@ -33,14 +33,13 @@ class KnownFrame:
 
     def modes(self) -> tuple[Floats, Floats]:
         """Natural frequencies, Hz, shape (N,), and mass-normalized shapes, one a row, shape (N, N)."""
-        squares, shapes = linalg.eigh(self.stiffness, np.diag(self.masses))
-        return np.sqrt(squares) / (2 * np.pi), shapes.T
+        found = modes(mass_matrix(np.asarray(self.masses)), self.stiffness)
+        return found.frequencies, found.shapes
 
     @property
     def stiffness(self) -> Floats:
         """Stiffness matrix, N/m, shape (N, N)."""
-        drift = np.eye(len(self.masses)) - np.eye(len(self.masses), k=-1)
-        return np.asarray(drift.T @ np.diag(self.stiffnesses) @ drift)
+        return stiffness_matrix(np.asarray(self.stiffnesses))
 
     def accelerations(self, forces: Floats, step: float) -> Floats:
         """Accelerations under forces that are straight lines between samples, m/s2, shape (samples, N).

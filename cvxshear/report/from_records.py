@@ -9,9 +9,7 @@ from cvxshear.records import ModalResult
 from cvxshear.records.result import over_amplitude
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
-from cvxshear.util import quantities
-from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
+from cvxshear.util.quantities import capital, counted, listed, numbered, percent, significants, with_std, with_stds
 
 #: Names of the methods of `identify_modes` in words; names from other libraries stay unchanged.
 METHOD_WORDS = {
@@ -62,11 +60,11 @@ def modes_data(result: ModalResult) -> blocks.Table:
     unit = "1/sqrt(kg)" if result.mass_normalized else ""
     largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
     shapes = result.mode_shapes if result.mass_normalized else result.mode_shapes / largest
-    stds = (largest if result.mass_normalized else 1.0) * result.entry_std
+    stds = (largest if result.mass_normalized else 1.0) * result.written_entry_std
     values = {
         ("mode", ""): result.modes,
         ("frequency", "Hz"): result.frequencies,
-        ("frequency std", "Hz"): result.frequencies * result.frequency_std,
+        ("frequency std", "Hz"): result.frequencies * result.written_frequency_std,
         ("damping ratio", ""): result.damping_ratios,
         **{(name, unit): shapes[:, at] for at, name in enumerate(result.entries)},
         **{(f"{name} std", unit): stds[:, at] for at, name in enumerate(result.entries)},
@@ -87,7 +85,7 @@ def amplitude_section(results: Sequence[ModalResult]) -> blocks.Section:
     """
     results = sorted(results, key=lambda each: each.amplitude or 0.0)
     cells = {"record": [result.name for result in results]}
-    cells["largest motion (SI)"] = quantities.significants([result.amplitude or 0.0 for result in results], 3)
+    cells["largest motion (SI)"] = significants([result.amplitude or 0.0 for result in results], 3)
     trends = []
     for mode, (frequencies, damping, (change, std)) in over_amplitude(results).items():
         for head, values in ((f"mode {mode}, Hz", frequencies), (f"damping {mode}, %", 100 * damping)):
@@ -105,15 +103,9 @@ def poles_table(result: ModalResult) -> blocks.Table:
     Parameters
     ----------
     result : ModalResult
-        Result with its order sweep.
-
-    Raises
-    ------
-    InputError
-        If the result has no order sweep.
+        Of `identify_modes`, which keeps its order sweep.
     """
-    if result.sweep is None:
-        raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
+    assert result.sweep is not None
     chosen = {item.members for item in result.sweep.chosen}
     candidates = result.sweep.candidates
     return blocks.table("poles", f"{result.name}: --pick with the frequencies, commas between", {

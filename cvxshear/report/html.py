@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cvxshear.backends import Comparison
+from cvxshear.backends import Comparison, listed
 from cvxshear.fit.identification import compare_backends
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import VERDICTS
@@ -22,12 +22,6 @@ from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import json_text
 from cvxshear.version import __version__
-
-#: Packages that may compute the numbers of a report; the report lists their versions.
-PACKAGES = (
-    "numpy", "scipy", "qpsolvers", "clarabel", "cvxpy", "osqp", "scs", "highspy", "piqp", "proxsuite", "quadprog",
-    "daqp",
-)  # fmt: skip
 
 
 @cache
@@ -76,10 +70,11 @@ def drawings(*results: Any) -> dict[str, Json]:
 
 
 def versions() -> Iterator[tuple[str, str]]:
-    """Yield names and versions of the packages that computed the result."""
+    """Yield names and versions of the installed packages that may have computed the result."""
     yield "cvxshear", __version__
     yield "Python", platform.python_version()
-    for name in PACKAGES:
+    solvers = (name for each in listed() for name in (each.through, each.package))
+    for name in dict.fromkeys(("numpy", "scipy", *filter(None, solvers))):
         try:
             yield name, metadata.version(name)
         except metadata.PackageNotFoundError:

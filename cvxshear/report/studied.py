@@ -262,15 +262,9 @@ def _cells(row: printed.PaperRow, *, random: bool) -> Cells:
     more = 0 if row.what == "iterations" or random else MORE_DIGITS
     error = (f"{row.std_error:.{count}f}" if row.std_error is not None else "",) if random else ()
     return (
-        row.what, row.printed, _number(row.recomputed, count + more), *error,
-        _number(row.difference, count + more, sign=True), row.verdict,
+        row.what, row.printed, quantities.signed(row.recomputed, count + more).removeprefix("+"), *error,
+        quantities.signed(row.difference, count + more), row.verdict,
     )  # fmt: skip
-
-
-def _number(value: float, count: int, *, sign: bool = False) -> str:
-    # Adding zero turns the -0.0 of a rounded number into 0.0.
-    rounded = round(value, count) + 0.0
-    return f"{rounded:+.{count}f}" if sign and rounded else f"{rounded:.{count}f}"
 
 
 @blocks.describe.register

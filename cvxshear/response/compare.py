@@ -6,13 +6,11 @@ leakage and resolution are the same in both and cancel in the comparison.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
-from scipy import special
+from scipy import signal, special
 
 from cvxshear.records.motion import DrivenRecord, trend
 from cvxshear.response.damping import DampedModel
@@ -86,7 +84,7 @@ class PieceSpectra:
     @staticmethod
     def of(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> PieceSpectra:
         """Transform pieces of `length` samples of all runs, without their means, under a Hann window."""
-        window = scipy.signal.windows.hann(length, sym=False)
+        window = signal.windows.hann(length, sym=False)
 
         def transformed(values: Floats) -> Complexes:
             pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[:: length // 2]
@@ -394,7 +392,7 @@ def as_predicted(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
         said.append(f"{floors} moved against the prediction: is the sensor reversed, or the excitation's sign?")
     said += confused_units(measured, predicted)
     turned = record.replaced(responses=(np.where(against & sure, -1.0, 1.0) * run.measured for run in record.runs))
-    return dataclasses.replace(turned, remarks=(*record.remarks, *said))
+    return replace(turned, remarks=(*record.remarks, *said))
 
 
 def without_drift(model: DampedModel, record: DrivenRecord) -> DrivenRecord:

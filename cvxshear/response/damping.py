@@ -3,8 +3,6 @@
 Story dashpots and Rayleigh factors are solutions of least-squares programs that every backend can solve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,8 +103,7 @@ class DampedModel:
         s, _, _ = coupled(self.modes, gamma)
         if len(s) == len(self.M) and np.all(s.imag > 0):
             return -s.real / np.abs(s)
-        ratios: Floats = np.diag(gamma) / (2 * np.sqrt(self.modes.eigenvalues))
-        return ratios
+        return np.asarray(np.diag(gamma) / (2 * np.sqrt(self.modes.eigenvalues)))
 
 
 @dataclass(frozen=True, eq=False)

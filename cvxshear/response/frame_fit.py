@@ -8,9 +8,8 @@ the changes and the size of the model's errors of form. The covariance belongs t
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
@@ -98,7 +97,7 @@ class FittedFrame:
     def doubted(self) -> FittedFrame:
         """Return the frame with the covariance of a frame of which every story may have changed."""
         stories = [place for place, each in enumerate(self.prior.changes) if each.kind == "story"]
-        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, frame_prior.FORM_STDS[0]).covariance)
+        return replace(self, covariance=self.prior.gaussian(stories, frame_prior.FORM_STDS[0]).covariance)
 
     @property
     def dashpots(self) -> tuple[Floats, Floats]:
@@ -208,8 +207,7 @@ class FittedFrame:
         _, J = varied.story_factors(self.p[frame])
         N, D, W, _ = varied.sizes
         masses = J[:, N + D : N + D + W]
-        result: Floats = J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T
-        return result
+        return np.asarray(J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T)
 
     @cached_property
     def model(self) -> DampedModel:
@@ -339,9 +337,9 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, backend: Backend, *, 
     covariance. A frame that is not free stays unchanged.
     """
     if not free:
-        return dataclasses.replace(frame, errors=errors)
+        return replace(frame, errors=errors)
     posterior = _Posterior(errors, frame.along, frame.prior.gaussian(*frame.answers[0].prior))
-    at, converged = posterior.maximum(frame.p, backend, dataclasses.replace(FITTED, most_steps=1))
+    at, converged = posterior.maximum(frame.p, backend, replace(FITTED, most_steps=1))
     return _mixed(errors, frame.prior, at, frame.answers, converged)
 
 

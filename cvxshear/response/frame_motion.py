@@ -6,9 +6,8 @@ along the directions that change the motion most.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -263,7 +262,7 @@ class FrameMotion:
         if detrend:
             model, pairs = errors.dynamics(fitted.p), zip(self.recording.runs, smoothed, strict=True)
             shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
-            work = dataclasses.replace(self, recording=without_lines(self.recording, shown))
+            work = replace(self, recording=without_lines(self.recording, shown))
             smoothed = work.smoothed(errors, fitted.p)
         recording, late, known = work.recording, *np.zeros((2, len(self.recording.floors)))
         for again in range(frame_fit.MOST_REFITS):
@@ -272,7 +271,7 @@ class FrameMotion:
                 break
             if np.any(more):
                 late, known = late + more, np.where(more, std, known)
-                work = dataclasses.replace(work, recording=_on_time(recording, late, known))
+                work = replace(work, recording=_on_time(recording, late, known))
                 p[errors.delays] = 0.0
                 smoothed = work.smoothed(errors, p)
             errors = work.errors(smoothed)
@@ -309,7 +308,7 @@ class FrameMotion:
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
         """Return every run's motion; widen all deviations by a factor."""
-        directions = self.directions(fitted)
+        sides, allowance = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
         rows = fitted.errors.dynamics(fitted.p).outputs
         model, n = fitted.model, len(self.varied.story_stiffness)
@@ -318,7 +317,7 @@ class FrameMotion:
         for run, found in zip(self.recording.runs, smoothed, strict=True):
             std = found.output_std
             np.square(std, out=std)
-            std += self.frame_variance(directions, noise, run, found)
+            std += allowance * sum(self.moved_by(each, noise, run, found) ** 2 for each in sides)
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
@@ -333,13 +332,6 @@ class FrameMotion:
                 stds["overturning_moment"] = std[:, 4 * n]
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
-
-    def frame_variance(
-        self, directions: Directions, noise: state_space.Noise, run: DrivenRun, found: Smoothed
-    ) -> Floats:
-        """Compute the variance of all outputs by the frame's uncertainty, shape (samples, outputs)."""
-        sides, allowance = directions
-        return np.asarray(allowance * sum(self.moved_by(each, noise, run, found) ** 2 for each in sides))
 
     def moved_by(self, sides: Sides, noise: state_space.Noise, run: DrivenRun, found: Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
@@ -391,7 +383,7 @@ def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
         if abs(own) > NORMAL_95 * off
     ]
     moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
-    return dataclasses.replace(moved, remarks=(*record.remarks, *said))
+    return replace(moved, remarks=(*record.remarks, *said))
 
 
 def _drift_rms(model: DampedModel, recording: DrivenRecord) -> Floats:
@@ -443,8 +435,8 @@ def checked(
     """
     others = np.arange(len(work.recording.floors)) != channel
     parts = [strongest(each.completed, frame_fit.FITTED_SAMPLES) for each in smoothed]
-    other = dataclasses.replace(work, recording=cut(work.recording, others, parts))
-    stretches = [dataclasses.replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
+    other = replace(work, recording=cut(work.recording, others, parts))
+    stretches = [replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
     stretches = [each for each in stretches if each.channels.any()]
     errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
     again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)

@@ -25,7 +25,6 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import DIFFERENCE, OTHER_DAMPING_STD, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.ranking import weigh
 from cvxshear.util.typing import Floats
 
 #: Relative standard deviations of the gains of all sensors: laboratory and field calibrations, equally probable. A
@@ -365,5 +364,5 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Fram
             level = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
     order = ranking.ranked(scores, scores.__getitem__)
     probable = [each for each in order if scores[each] > scores[order[0]] + np.log(LEAST_WEIGHT)]
-    weights = weigh([scores[each] for each in probable])
+    weights = ranking.weigh([scores[each] for each in probable])
     return tuple(FrameAnswer(*each, float(weight)) for each, weight in zip(probable, weights, strict=True))

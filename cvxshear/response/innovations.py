@@ -16,9 +16,8 @@ expected curvature (Fisher scoring), so that a Gauss-Newton step stays one least
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,8 +98,7 @@ class Filter:
     @property
     def F(self) -> Floats:  # noqa: N802
         """A - K H, shape (n, n)."""
-        result: Floats = self.model.A - self.K @ self.model.H
-        return result
+        return np.asarray(self.model.A - self.K @ self.model.H)
 
     @property
     def pull(self) -> Floats:
@@ -167,7 +165,7 @@ class Segment:
 
     def on_time(self, late: Floats) -> Segment:
         """Return the segment without small delays of the sensors, in samples, shape (m,)."""
-        return dataclasses.replace(self, y=self.y + self.slopes * late)
+        return replace(self, y=self.y + self.slopes * late)
 
 
 def strongest(y: Floats, most: int) -> slice:

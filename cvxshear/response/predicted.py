@@ -1,16 +1,12 @@
 """Prediction: the response of an identified frame to a record and its peaks, compared with the measured motion."""
 
-from __future__ import annotations
-
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
@@ -103,8 +99,7 @@ def limits_passed(limits: Limits | None, peaks: Peaks) -> Floats | None:
     if limits is None or name not in peaks.values:
         return None
     away = peaks.values[name] - limits.story_drift[:, None]
-    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
-    return passed
+    return np.asarray(special.ndtr(away / np.maximum(peaks.std[name], 1e-300)))
 
 
 def limits_in_json(limits: Limits | None, passed: Floats | None, stories: int) -> list[Json] | None:
@@ -267,7 +262,7 @@ class RecordPrediction(Shown):
 def predict(
     source: sources.ModelSource,
     record: RecordSource,
-    backend: str | Backend = "auto",
+    backend: str | backends.Backend = "auto",
     *,
     damping: str | None = None,
     configuration: str | None = None,
@@ -309,18 +304,18 @@ def predict(
     motion = without_drift(frame.centre.model, recorded) if detrend else recorded
     before = None
     if models.before is not None:
-        other = dataclasses.replace(frame, fitted=models.before)
+        other = replace(frame, fitted=models.before)
         before = _model_response(models.before, other.centre, motion)
     found = _predicted(models, frame, motion, before)
     named = configuration is not None
     said = sources.assumptions(models.after, frame.configuration, recorded, motion, found.passed, named=named)
-    return dataclasses.replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
+    return replace(found, remarks=(*recorded.remarks, *said, *found.remarks))
 
 
 def set_up(
     source: sources.ModelSource,
     record: RecordSource,
-    backend: str | Backend,
+    backend: str | backends.Backend,
     damping: str | None,
     configuration: str | None,
     assume: Sequence[str | LocatedEffect],

@@ -5,13 +5,9 @@ standard deviations, which a prediction of each sensor from all others checks. A
 falls back to the motion of the identified frame.
 """
 
-from __future__ import annotations
-
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -168,7 +164,7 @@ class Reconstruction(Shown):
             square = np.where(kept, -((2 * np.pi * frequencies) ** 2), np.inf)
             moved = np.fft.irfft(np.fft.rfft(drift, axis=0) / square[:, None], len(drift), axis=0)
             peaks = np.maximum(peaks, np.max(np.abs(moved), axis=0))
-        return [(*pair, float(peak)) for pair, peak in zip(pairwise(floors), peaks, strict=True)]
+        return [(*pair, float(peak)) for pair, peak in zip(itertools.pairwise(floors), peaks, strict=True)]
 
     @property
     def dampers(self) -> tuple[int, ...]:
@@ -389,7 +385,7 @@ def reconstruct(
     said = sources.assumptions(frame.fitted, frame.configuration, recorded, work.recording, found.passed, named=named)
     if len(evidences) > 1:
         said.append(_reading_remark(sources.DRIVING[recorded.input], *evidences))
-    return dataclasses.replace(found, remarks=(*said, *remarks_of(found)))
+    return replace(found, remarks=(*said, *remarks_of(found)))
 
 
 def _has_lines(frame: UncertainFrame, recorded: DrivenRecord) -> bool:
@@ -468,7 +464,7 @@ def _most_probable(
     def fit(reading: DrivenRecord) -> _Fit:
         work, fitted, smoothed = frame_motion.FrameMotion.around(frame, reading, free=free).fitted(detrend=detrend)
         # The states of a long record need much memory; `runs` computes them again with their deviations.
-        return work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
+        return work, fitted, [replace(own, states=own.states[:1].copy()) for own in smoothed]
 
     fits = [fit(each) for each in readings]
     evidences = [fitted.log_evidence for _, fitted, _ in fits]

@@ -5,16 +5,12 @@ the segments that every sensor recorded. Corrections of certain faults apply to 
 with gaps.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from cvxshear.io.csv import Columns
 from cvxshear.io.record_tables import ChannelDeclaration, RecordFile
@@ -236,24 +232,11 @@ def _a_column_a_floor(channels: Sequence[Channel], record: DrivenRecord) -> Driv
 
 
 def on_time(record: DrivenRecord, late: Floats) -> DrivenRecord:
-    """Remove the delay (s) of each channel and its growth (s/s), shape (channels, 2), over all runs in their order.
-
-    A sample is nan if a sample that its interpolation needs is missing.
-    """
-    measured, started = [run.measured.copy() for run in record.runs], 0
-    for values in measured:
-        index = np.arange(len(values))
-        for column in np.flatnonzero(late.any(axis=1)):
-            own, (seconds, growth) = values[:, column], late[column]
-            there = np.isfinite(own)
-            if there.any():
-                places = index + record.sampling_rate * seconds + growth * (started + index)
-                gaps = (~there).astype(np.uint8)
-                unknown = ndimage.maximum_filter1d(gaps, prepare.SINC_TERMS + 1, mode="constant", cval=1)
-                near = np.clip(np.round(places).astype(np.int64), 0, len(values) - 1)
-                moved = prepare.between(np.interp(index, index[there], own[there]), places)
-                values[:, column] = np.where(unknown[near].astype(bool), np.nan, moved)
-        started += len(values)
+    """Remove the delay (s) of each channel and its growth (s/s), shape (channels, 2), over all runs in their order."""
+    measured, started = [], 0
+    for run in record.runs:
+        measured.append(prepare.on_time(run.measured, late, record.sampling_rate, started))
+        started += run.samples
     return record.replaced(responses=measured)
 
 
@@ -309,11 +292,10 @@ def parted(run: DrivenRun, least: int) -> list[Piece]:
     """Split a run at gaps of `least` samples or more; return the parts and their recording channels."""
     recorded = np.ones(run.measured.shape, dtype=bool)
     for column, there in enumerate(np.isfinite(run.measured).T):
-        ends = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(np.int8)))
-        for first, last in ends.reshape(-1, 2).tolist():
+        for first, last in data_frames.stretches(~there).tolist():
             recorded[first:last, column] = last - first < least
     edges = [0, *(np.flatnonzero(np.any(np.diff(recorded, axis=0), axis=1)) + 1).tolist(), len(recorded)]
-    return [(slice(first, last), recorded[first]) for first, last in pairwise(edges)]
+    return [(slice(first, last), recorded[first]) for first, last in itertools.pairwise(edges)]
 
 
 def cut(record: DrivenRecord, channels: Bools, parts: Sequence[slice]) -> DrivenRecord:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from cvxshear.io import modes, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment, opened
 from cvxshear.records.motion import DrivenRecord, trend
-from cvxshear.screening import close_loop
+from cvxshear.screening import FileFinding, close_loop
 from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
@@ -33,8 +32,7 @@ def covariance_root(covariance: Floats) -> Floats:
     unit = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
-    root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
-    return root
+    return np.asarray(unit[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +109,13 @@ class Models:
     before : Fitted or None
         None if there is only one model.
     after : Fitted
+    warnings : tuple of FileFinding, optional
+        Doubts of the measurement that the loop was closed on.
     """
 
     before: Fitted | None
     after: Fitted
+    warnings: tuple[FileFinding, ...] = ()
 
 
 #: Kinds of measured excitation, in words.
@@ -188,7 +189,7 @@ def load_unscaled(path: str | Path) -> Experiment:
 
 def models_of_loop(closure: LoopResult) -> Models:
     """Return the models that a closed loop began and ended with."""
-    return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
+    return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate), closure.warnings)
 
 
 def state_of(experiment: Experiment, record: DrivenRecord, name: str | None = None) -> Configuration:
@@ -231,7 +232,7 @@ def state_of(experiment: Experiment, record: DrivenRecord, name: str | None = No
     for each in configurations:
         if np.allclose(each.added_mass, added):
             return each
-    return dataclasses.replace(configurations[0], name=_unused(experiment, added), added_mass=added)
+    return replace(configurations[0], name=_unused(experiment, added), added_mass=added)
 
 
 def state_remarks(

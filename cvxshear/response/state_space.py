@@ -16,9 +16,8 @@ Hence the result is exact for any step.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -111,8 +110,7 @@ class StateOutputs:
 
     def of(self, states: Floats, excitation: Floats) -> Floats:
         """Return the outputs over time, shape (samples, outputs)."""
-        result: Floats = states @ self.rows.T + np.outer(excitation[:, 1], self.direct)
-        return result
+        return np.asarray(states @ self.rows.T + np.outer(excitation[:, 1], self.direct))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,17 +161,16 @@ class Dynamics:
 
     def seen_by(self, channels: Bools) -> Dynamics:
         """Return the model with a subset of its sensors; the mask has shape (m,)."""
-        return dataclasses.replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
+        return replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
 
     def weighted(self, weights: Floats) -> Dynamics:
         """Return the model with a weight for each sensor, shape (m,); a sensor with the weight zero shows nothing."""
         seen = weights > 0
-        return dataclasses.replace(self, H=self.H * seen[:, None], R=self.R / np.where(seen, weights, 1.0))
+        return replace(self, H=self.H * seen[:, None], R=self.R / np.where(seen, weights, 1.0))
 
     def driven(self, excitation: Floats) -> Floats:
         """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
-        driven: Floats = steps_of(excitation) @ [self.before, self.after]
-        return driven
+        return np.asarray(steps_of(excitation) @ [self.before, self.after])
 
     def shown(self, excitation: Floats) -> Floats:
         """Return the excitation's direct part of the sensors' values, shape (samples, m)."""

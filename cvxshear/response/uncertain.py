@@ -9,15 +9,13 @@ the way; a derivative at one point would not see this change.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
@@ -65,10 +63,10 @@ class UncertainFrame:
     configuration: Configuration
     ratios: damping.Ratios
     kind: str
-    backend: Backend
+    backend: backends.Backend
 
     @staticmethod
-    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
+    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: backends.Backend) -> UncertainFrame:
         """Use the damping ratios that the experiment declares, and by default its kind of damping."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
@@ -119,8 +117,7 @@ class UncertainFrame:
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
         # With R R' the covariance of masses and effects, the stiffnesses follow by their regression.
         own = covariance_root(covariance[np.ix_(rest, rest)])
-        root: Floats = np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T
-        return root
+        return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T)
 
     @cached_property
     def centre(self) -> Damped:
@@ -138,7 +135,7 @@ class UncertainFrame:
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
-        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta))
+        return self.damped(theta, replace(self.ratios, values=zeta))
 
     def damped(self, theta: Floats, ratios: damping.Ratios) -> Damped:
         """Build the damped model of given parameters and ratios.
@@ -273,7 +270,7 @@ def described(frame: UncertainFrame, std: Mapping[str, Floats]) -> IdentifiedDam
 def damping_of(
     experiment: Measurement,
     estimate: Estimate | Fitted,
-    backend: str | Backend = "auto",
+    backend: str | backends.Backend = "auto",
     *,
     kind: str | None = None,
     configuration: str | None = None,

@@ -170,8 +170,7 @@ class VariedFrame:
     def _shares(self, changes: Floats) -> Floats:
         """Return the relative change of each story's stiffness by changes of the stiffness matrix, (N, changes)."""
         above = np.cumsum(np.cumsum(changes[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
-        result: Floats = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
-        return result
+        return np.asarray(np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None])
 
     @cached_property
     def _tested_shares(self) -> Floats:
@@ -180,8 +179,7 @@ class VariedFrame:
     @cached_property
     def _heavier(self) -> Floats:
         """Mean relative change of the masses along each of their directions, shape (W,)."""
-        result: Floats = np.mean(np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M), axis=1)
-        return result
+        return np.asarray(np.mean(np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M), axis=1))
 
     @cached_property
     def heavier_floors(self) -> Floats:
@@ -247,22 +245,19 @@ class VariedFrame:
 def _dashpots(model: DampedModel, ratios: Floats, measured: Bools) -> Floats:
     """Compute the dashpot of each story that alone gives one measured mode its ratio, shape (N,), N s/m."""
     given = np.array([_given(model.modes, each) for each in np.eye(len(ratios))])
-    result: Floats = 1.0 / np.max(given[:, measured] / ratios[measured], axis=1)
-    return result
+    return np.asarray(1.0 / np.max(given[:, measured] / ratios[measured], axis=1))
 
 
 def _given(real: Modes, dashpots: Floats) -> Floats:
     """Compute the damping ratio of each mode from story dashpots, shape (N,)."""
     drifts = np.diff(real.shapes, axis=1, prepend=0.0)
-    result: Floats = drifts**2 @ dashpots / (2 * np.sqrt(real.eigenvalues))
-    return result
+    return np.asarray(drifts**2 @ dashpots / (2 * np.sqrt(real.eigenvalues)))
 
 
 def _beside(share: Floats) -> Floats:
     """Compute f(s), the positive root of f^2 = (1 - s) f + b^2 s; f(1) = b."""
     half = 0.5 * (1.0 - share)
-    result: Floats = half + np.sqrt(half**2 + LEFT_BESIDE**2 * share)
-    return result
+    return np.asarray(half + np.sqrt(half**2 + LEFT_BESIDE**2 * share))
 
 
 def _form(model: DampedModel, measured: int) -> Floats:

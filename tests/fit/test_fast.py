@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, backends, identify
-from cvxshear.paper.scatter import three_story
+from cvxshear.paper.setups import three_story
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import mass_rows, normalized, pair_normal, pair_products, stiffness_rows
 from cvxshear.util.parallel import each

@@ -10,6 +10,7 @@ import cvxshear
 from cvxshear.io.spreadsheets import write_csv, write_xlsx
 from cvxshear.io.templates import template, template_from
 from cvxshear.records import from_arrays
+from cvxshear.records.result import SENSOR_STD
 from cvxshear.report.terminal import sheets_of
 from cvxshear.util.errors import InputError
 from tests import closed
@@ -110,7 +111,7 @@ def test_modes_out_and_in_again(tmp_path, ending):
     experiment = cvxshear.load(measurement(tmp_path, f'{ending} = "modes.{ending}"'))
     check(experiment)
     np.testing.assert_allclose(experiment.configurations[0].frequency_std, [0.001, 0.003])
-    np.testing.assert_allclose(experiment.configurations[0].mode_shape_std, modes.entry_std)
+    np.testing.assert_allclose(experiment.configurations[0].mode_shape_std, modes.written_entry_std)
 
 
 def test_an_identification_as_a_table(tmp_path):
@@ -170,7 +171,7 @@ def test_the_scale_goes_out_and_comes_in(tmp_path, ending):
     path = tmp_path / "new.toml"
     path.write_text(template_from(table, tmp_path))
     experiment = cvxshear.load(path)
-    np.testing.assert_allclose(experiment.configurations[0].mode_shape_std, 0.02)
+    np.testing.assert_allclose(experiment.configurations[0].mode_shape_std, np.hypot(0.02, SENSOR_STD))
     np.testing.assert_allclose(cvxshear.identify(experiment).frame.floor_mass, masses, rtol=1e-6)
 
 

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from cvxshear import InputError, identify
 from cvxshear.paper import paper_setups
-from cvxshear.paper.scatter import Setup, bound, six_story, three_story
+from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.report.studied import in_percent
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])

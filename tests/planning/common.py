@@ -4,7 +4,8 @@ from itertools import combinations
 
 import numpy as np
 
-from cvxshear.planning.design import Declared, Design, TestModel
+from cvxshear.planning.design import Design
+from cvxshear.planning.expected_tests import Declared, TestModel
 from tests.frames import modes_of
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)

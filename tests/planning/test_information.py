@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cvxshear.planning.choice import candidates
-from cvxshear.planning.design import UNKNOWN_STDS, Design
+from cvxshear.planning.design import Design
+from cvxshear.planning.expected_tests import UNKNOWN_STDS
 from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, information_of, slow_covariance, tapered
 

@@ -6,7 +6,7 @@ from scipy import io
 
 import cvxshear
 from cvxshear.paper.reproduction import exact_modes
-from cvxshear.paper.scatter import three_story
+from cvxshear.paper.setups import three_story
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.responses import series, write_series
 from cvxshear.response import Fitted, Models, predict

@@ -5,7 +5,8 @@ import time
 import numpy as np
 
 from cvxshear import Experiment, identify
-from cvxshear.paper.scatter import one_shot_batch, three_story, two_stage_batch
+from cvxshear.paper.scatter import one_shot_batch, two_stage_batch
+from cvxshear.paper.setups import three_story
 from cvxshear.util.parallel import each
 from tests.frames import configuration, experiment
 from tests.studies.timing import fastest, shown, table

@@ -18,7 +18,7 @@ from cvxshear.io.toml import parse, read_text
 from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
 from cvxshear.planning.choice import CRITERIA, choose, equally_spaced, values_of
-from cvxshear.planning.design import TestModel
+from cvxshear.planning.expected_tests import TestModel
 from cvxshear.planning.planner import GOALS
 from cvxshear.priors import Value
 

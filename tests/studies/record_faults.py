@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records import ModalResult, identify_modes
-from cvxshear.records.prepare import only
+from cvxshear.records import ModalResult, identify_modes, prepare
 from cvxshear.records.record import Run, TimeRecord
 from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, shaker_record
 from cvxshear.util.errors import CvxshearError
@@ -93,7 +92,7 @@ def sound_record(seed: int, kind: str) -> TimeRecord:
         record = decay_record(frame, random, noise, rate)
     absent = random.choice(np.arange(stories - 1 if stories > 4 else stories), min(2, stories - 3), replace=False)
     absent = absent[: int(random.integers(1, len(absent) + 1))]
-    return only(record, np.setdiff1d(np.arange(stories), absent).tolist())
+    return prepare.only(record, np.setdiff1d(np.arange(stories), absent).tolist())
 
 
 def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, rate: float) -> TimeRecord:
@@ -260,8 +259,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--inputs", nargs="*", default=list(INPUTS), choices=INPUTS)
     parser.add_argument("--faults", nargs="*", default=["sound", *NAMED_BY])
+    parser.add_argument("--segment", type=float, default=prepare.SEGMENT, help="length of the segments, s")
     parser.add_argument("--details", action="store_true")
     chosen = parser.parse_args()
+    prepare.SEGMENT = chosen.segment
     for fault in chosen.faults:
         for kind in chosen.inputs:
             counts: collections.Counter[str] = collections.Counter()

@@ -1,9 +1,8 @@
 """Draw the frame to scale with the located effects, or with its identified masses and stiffnesses."""
 
-import dataclasses
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -295,7 +294,7 @@ def planned(result: Plan) -> Figure:
     frame = IdentifiedFrame(design.floor_mass, design.story_stiffness, std.floor_mass_std, std.story_stiffness_std)
     every = predicted(result)
     tests = tuple(each for each in every.configurations if each.name in result.names)
-    return _numbered_frames(dataclasses.replace(every, configurations=tests), [("", frame)], sensors=True)
+    return _numbered_frames(replace(every, configurations=tests), [("", frame)], sensors=True)
 
 
 def _numbered_frames(
