@@ -150,6 +150,7 @@ def test_the_line_that_is_taken_off_is_told_with_its_floor(frame):
     assert np.all(found.after.comparison.nrmse < 0.02)
     left_in = predict(estimate, dataclasses.replace(exact, runs=(Run(seen, run.excitation),)), detrend=False)
     assert left_in.after.comparison.nrmse[1] > 0.5
+    assert not any("a straight line" in remark for remark in left_in.remarks)
 
 
 def test_limits_have_probabilities(frame):
