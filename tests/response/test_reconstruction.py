@@ -519,8 +519,30 @@ def test_story_factors_are_stiffnesses_over_the_identified_ones(softened):
     np.testing.assert_allclose(found.frame.factors, factors)
     for column, step in zip(J.T, 1e-6 * np.eye(len(at)), strict=True):
         np.testing.assert_allclose(column, (stories(at + step) - stories(at - step)) / 2e-6, atol=1e-7)
-    in_record = np.diag(J @ found.frame.covariance[errors.frame, errors.frame] @ J.T)
-    assert np.all(found.frame.factors_std**2 > in_record)
+
+
+def test_deviations_of_factors_and_modes_are_those_of_the_frame(softened):
+    """Functions of the factors have linear deviations; those of modes are the scatter of drawn frames."""
+    frame = softened[-1].frame
+    errors, (N, D, W, _) = frame.errors, frame.errors.varied.sizes
+    factors, J = errors.varied.story_factors(frame.p[errors.frame])
+    masses = J[:, N + D : N + D + W]
+    covariance = J @ frame.covariance[errors.frame, errors.frame] @ J.T + frame.prior.identified + masses @ masses.T
+    np.testing.assert_allclose(frame.factors_std**2, np.diag(covariance) + frame.scale_std**2)
+    mean, std = frame.mean_factor
+    assert (mean, std**2) == pytest.approx((factors.mean(), covariance.mean() + frame.scale_std**2))
+    weights = (1.0 - frame.story_probability) * (1.0 - np.eye(3))
+
+    def apart(factors):
+        return factors * weights.sum(axis=1) / (weights @ factors) - 1.0
+
+    change, std = frame.against_others
+    np.testing.assert_allclose(change, apart(factors), atol=1e-6)
+    slopes = np.array([(apart(factors + step) - apart(factors - step)) / 2e-6 for step in 1e-6 * np.eye(3)])
+    np.testing.assert_allclose(std**2, np.diag(slopes.T @ covariance @ slopes), rtol=1e-4)
+    draws = map(errors.model, np.random.default_rng(0).multivariate_normal(frame.p, frame.covariance, 400))
+    logarithms = np.log([[model.modes.frequencies, model.ratios] for model in draws])
+    np.testing.assert_allclose(frame.modal_std, logarithms.std(axis=0), rtol=0.15)
 
 
 def test_limits_have_probabilities(softened):
