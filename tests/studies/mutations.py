@@ -268,7 +268,12 @@ call each other."""
 def names_of(mutant):
     """Return names of functions and classes that run a change, of their callers, and so on, each with the number of
     calls between."""
-    new = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    own = {each for where in runs(mutant) for each in where.partition(":")[2].split(".")}
+    new = {each for each in own if len(each) > 3}
+    if not new:
+        # A name as short as `_of` is looked for in its own module.
+        around = (name for name, _, _, words in every_function().get(mutant.module, ()) if own & words)
+        new = {each for name in around for each in name.split(".") if len(each) > 3}
     found = dict.fromkeys(new, 0)
     for calls in range(1, FARTHEST):
         around = (name for some in every_function().values() for name, _, _, words in some if new & words)
