@@ -126,6 +126,9 @@ def test_what_is_described_part_by_part_and_by_floor_is_the_whole_residual(mass_
     for datum in data_of(of):
         model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
         r = datum.residual(model).r
+        if isinstance(datum, Shapes):
+            off = datum.tested.entry_weights * (datum.tested.known_shapes - datum.seen(model))
+            assert np.sum(off**2) == pytest.approx(r @ r, rel=1e-12)
         parts = datum.describe(model)
         assert sum(part.entries * part.deviations**2 for part in parts) == pytest.approx(r @ r, rel=1e-12)
         by_floor = datum.by_floor(model)

@@ -98,6 +98,7 @@ def changed(place, values):
     ("change", "more", "expected"),
     [
         (changed((slice(57, None, 40), 3), np.nan), "", ("test.csv, line 59", '"a2" holds nan')),
+        (changed((slice(600, 2200), 3), np.nan), "", ("test.csv, line 602", '"a2" holds nan')),
         # The header is line 1, so the sample 1201 is line 1202.
         (
             changed((slice(1200, None), 0), lambda good: good[1200, 0] + np.arange(len(good) - 1200) / 50),

@@ -37,6 +37,18 @@ def test_functions_of_hits_and_of_their_modes_are_those_of_the_frame(hammer):
     np.testing.assert_array_equal(seen.inputs, [1, 2, 3])
 
 
+def test_what_the_hammer_s_sensor_shows_after_the_blow_is_noise():
+    record, noisy = hammer_record(PAPER_FRAME, 0, noise=0.005, hits=1), []
+    for run in record.runs:
+        blow = np.flatnonzero(np.abs(run.excitation) > 0.25 * np.abs(run.excitation).max())
+        noise = 0.015 * run.excitation.max() * np.random.default_rng(1).choice([-1.0, 1.0], run.samples)
+        noise[: blow[-1] + 3 * len(blow) + 20] = 0.0
+        noisy.append(dataclasses.replace(run, excitation=run.excitation + noise))
+    expected = measured_functions(record, 5.0).values
+    found = measured_functions(dataclasses.replace(record, runs=tuple(noisy)), 5.0).values
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
 def test_the_functions_have_the_sign_that_was_set_right(hammer):
     """A reversed sensor is turned round: the modes then make its function too, and the others'."""
     record = hammer_record(PAPER_FRAME, 0, noise=0.005, hits=2)

@@ -252,9 +252,12 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     form_std, changed = 0.03, (1, 3, 6)
     assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
     root = np.linalg.cholesky(prior.identified)
-    nuisances = np.full(W, 0.001)
-    modal = np.isfinite(frame.nuisance_share)
-    nuisances[modal] = np.sqrt(1.0 + (form_std / frame.nuisance_share[modal]) ** 2 / modal.sum())
+    # Errors of form leave masses and effects as uncertain as they change masses and modal stiffnesses.
+    moved = [frame.model(0.01 * row) for row in np.eye(size)[N + D : N + D + W - 3]]
+    plain, shapes = frame.model(np.zeros(size)), uncertain.centre.model.modes.shapes
+    sizes = [np.concatenate([np.diag(each.M), np.diag(shapes @ each.K @ shapes.T)]) for each in (*moved, plain)]
+    share = 100.0 * np.sqrt(2.0) * np.sqrt(np.mean((np.array(sizes[:-1]) / sizes[-1] - 1.0) ** 2, axis=1))
+    nuisances = np.append(np.sqrt(1.0 + (form_std / share) ** 2 / len(share)), np.full(3, 0.001))
     tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
     J, data = prior.measured
     seen = J @ tests

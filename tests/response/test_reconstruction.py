@@ -20,6 +20,7 @@ from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.compare import as_predicted, readings_of
 from cvxshear.response.frame_motion import FrameMotion, settled_states, smooth
 from cvxshear.response.innovations import Directions, Filter, PredictionErrors, Segment
+from cvxshear.response.predicted import RESPONSES, histories
 from cvxshear.response.recording import parted, recording_of
 from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import UncertainFrame
@@ -233,29 +234,42 @@ def softened():
     return models, motion, drift, soft, reconstruct(models, motion)
 
 
-def test_the_soft_story_is_named_and_its_drift_is_right(softened):
+def test_the_soft_story_is_named_though_predicted_drifts_are_wrong(softened):
     _, _, drift, soft, found = softened
     assert found.changed == (soft,)
     assert found.frame.factors[soft - 1] == pytest.approx(0.9, abs=0.02)
     true = np.abs(drift).max(axis=0)
-    own = found.peaks.values["story_drift"]
-    assert own[soft - 1] == pytest.approx(true[soft - 1], rel=0.03)
-    np.testing.assert_allclose(own, true, rtol=0.03)
     assert np.max(np.abs(found.predicted_peaks.values["story_drift"] / true - 1)) > 0.05
     assert np.all(found.model.ratios == pytest.approx(study.RECORDED_RATIO, abs=0.003))
+    lower, upper = found.frame.errors.bounds(found.frame.prior.gaussian((), 0.01))
+    assert np.all((lower < 0) & (upper > 0))
 
 
-def test_bands_hold_the_drift_and_the_sensors_left_out(softened):
-    _, _, drift, _, found = softened
-    off = np.abs(found.runs[0].response.drift - drift) / found.runs[0].std["story_drift"]
-    assert np.mean(off <= 1.96) > 0.9
+def test_bands_hold_every_quantity_and_the_sensors_left_out(softened):
+    _, motion, drift, _, found = softened
+    there = study.building(3, "soft", 1)[1]
+    total, moved = study.shaken(there, motion.runs[0].excitation)
+    shear = -np.cumsum((there.floor_mass * total)[:, ::-1], axis=1)[:, ::-1]
+    true = {
+        "floor_acceleration": total, "floor_displacement": moved, "story_drift": drift,
+        "story_drift_ratio": drift / 3.5, "story_shear": shear, "base_shear": shear[:, 0],
+        "overturning_moment": 3.5 * shear.sum(axis=1),
+    }  # fmt: skip
+    (run,) = found.runs
+    for name, values in histories(run.response).items():
+        off = (values - true[name]) / run.std[name]
+        assert np.mean(np.abs(off) <= 1.96) > 0.9
+        assert np.sqrt(np.mean(off**2)) > 0.4
+        peaks = np.abs(true[name]).max(axis=0)
+        np.testing.assert_allclose(found.peaks.values[name], peaks, rtol=0.01)
+        assert np.all(np.abs(found.peaks.values[name] - peaks) < 2.0 * found.peaks.std[name])
     for check in found.checks:
         assert check.error < 1.5 * check.stated
         assert check.within > 0.85
         assert check.error < 0.5 * check.prediction_error
 
 
-def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
+def test_spikes_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
     models, motion, _, _, found = softened
     y = motion.runs[0].responses
     # Skip the refits without single sensors: they can only widen the deviations. The delay is applied to a
@@ -265,10 +279,12 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
     faulty[:, 1] = np.fft.irfft(np.fft.rfft(y[:, 1]) * turn, len(y))
     faulty[900, 1] += 10.0
     faulty[700:760, 0] = np.nan
+    faulty[2000:3000:250, 0] += 0.5 * np.std(y[:, 0])
     drive = dataclasses.replace(motion.runs[0], responses=faulty)
     again = reconstruct(models, dataclasses.replace(motion, runs=(drive,)), leave_out=False)
     moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
     assert np.all(moved <= 0.5 * again.peaks.std["story_drift"])
+    assert (again.spikes.tolist(), again.missing[0]) == ([4, 0], 60)
     (said,) = again.warnings
     late = re.match(r"the clock of the sensor of floor 3 is (\S+) ms late .*; taken out$", said)
     assert float(late[1]) == pytest.approx(5.0, abs=0.5)
@@ -507,8 +523,30 @@ def test_story_factors_are_stiffnesses_over_the_identified_ones(softened):
     np.testing.assert_allclose(found.frame.factors, factors)
     for column, step in zip(J.T, 1e-6 * np.eye(len(at)), strict=True):
         np.testing.assert_allclose(column, (stories(at + step) - stories(at - step)) / 2e-6, atol=1e-7)
-    in_record = np.diag(J @ found.frame.covariance[errors.frame, errors.frame] @ J.T)
-    assert np.all(found.frame.factors_std**2 > in_record)
+
+
+def test_deviations_of_factors_and_modes_are_those_of_the_frame(softened):
+    """Functions of the factors have linear deviations; those of modes are the scatter of drawn frames."""
+    frame = softened[-1].frame
+    errors, (N, D, W, _) = frame.errors, frame.errors.varied.sizes
+    factors, J = errors.varied.story_factors(frame.p[errors.frame])
+    masses = J[:, N + D : N + D + W]
+    covariance = J @ frame.covariance[errors.frame, errors.frame] @ J.T + frame.prior.identified + masses @ masses.T
+    np.testing.assert_allclose(frame.factors_std**2, np.diag(covariance) + frame.scale_std**2)
+    mean, std = frame.mean_factor
+    assert (mean, std**2) == pytest.approx((factors.mean(), covariance.mean() + frame.scale_std**2))
+    weights = (1.0 - frame.story_probability) * (1.0 - np.eye(3))
+
+    def apart(factors):
+        return factors * weights.sum(axis=1) / (weights @ factors) - 1.0
+
+    change, std = frame.against_others
+    np.testing.assert_allclose(change, apart(factors), atol=1e-6)
+    slopes = np.array([(apart(factors + step) - apart(factors - step)) / 2e-6 for step in 1e-6 * np.eye(3)])
+    np.testing.assert_allclose(std**2, np.diag(slopes.T @ covariance @ slopes), rtol=1e-4)
+    draws = map(errors.model, np.random.default_rng(0).multivariate_normal(frame.p, frame.covariance, 400))
+    logarithms = np.log([[model.modes.frequencies, model.ratios] for model in draws])
+    np.testing.assert_allclose(frame.modal_std, logarithms.std(axis=0), rtol=0.15)
 
 
 def test_limits_have_probabilities(softened):
@@ -647,11 +685,12 @@ def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
     few = {key: test[key][:2] for key in ("frequencies", "damping_ratios")}
     shapes = [[row[floor - 1] for floor in (2, 3, 5)] for row in test["mode_shapes"][:2]]
     table["configuration"] = [test | few | {"mode_shapes": shapes, "measured_floors": [2, 3, 5]}]
-    del table["prior"]
+    del table["prior"], table["frame"]["story_heights"]
     softer = sound.story_stiffness * np.array([1.0, 1.0, 1.0, 0.88, 1.0])
     motion, _, drift = recorded(dataclasses.replace(sound, story_stiffness=softer), 3, (2, 5))
     found = reconstruct(cvxshear.Experiment.from_dict(table), motion, leave_out=False)
     assert found.undetermined
+    assert set(RESPONSES) - found.runs[0].std.keys() == {"story_drift_ratio", "overturning_moment"}
     assert (found.changed, found.masses_changed, found.gains_off) == ((), False, ())
     assert found.to_dict()["frame"]["change_probability"] == [None] * 5
     assert "the tests do not determine the frame" in found.warnings[0]
