@@ -71,20 +71,20 @@ class Smoothed:
 Stretch = tuple[int, int, Filter]
 
 
-def smooth(model: Dynamics, run: DrivenRun, rows: Floats, start_scale: float = 1.0) -> Smoothed:
+def smooth(model: Dynamics, run: DrivenRun, rows: Floats, P0: Floats) -> Smoothed:
     """Find the most probable motion, and standard deviations of rows times the states.
 
     Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
         |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
 
-    where `start_scale` is a factor on the standard deviation P0^(1/2).
+    with the covariance P0 of the first state, shape (n, n).
     The normal matrix is block tridiagonal. It is eliminated forward (the Kalman filter) and back (the smoother of
     Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero. Iterative
     reweighting minimizes Huber's loss, which grows linearly beyond `SPIKE` standard deviations and limits the influence
     of spikes.
     """
-    present, P0 = np.isfinite(run.measured), start_scale**2 * model.P0
+    present = np.isfinite(run.measured)
     weights = present.astype(np.float64)
     shown, measured = model.shown(run.drive), np.nan_to_num(run.measured)
     for _ in range(MOST_REWEIGHTINGS):
@@ -297,13 +297,11 @@ class FrameMotion:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
-        stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
         for run in self.recording.runs:
-            begins = run.measured[: self.varied.first_samples(self.recording.step)]
-            moved = rms(begins if np.isfinite(begins).any() else run.measured)
-            scale = max(1.0, moved / rms(stationary))
-            found.append(smooth(model, run, asked, scale))
+            seen = run.measured[: self.varied.first_samples(self.recording.step)]
+            seen = seen if np.isfinite(seen).any() else run.measured
+            found.append(smooth(model, run, asked, model.start_covariance(seen)))
         return found
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:

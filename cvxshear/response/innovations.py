@@ -247,11 +247,8 @@ class PredictionErrors:
         They explain the rms of the first period.
         """
         model, first = self.dynamics(np.zeros(self.size)), self.varied.first_samples(self.setting.step)
-        powers = (float(np.mean(run.seen[:first] ** 2)) for run in self.stretches)
-        return [
-            covariance_root(model.start_covariance(power, run.channels))
-            for power, run in zip(powers, self.stretches, strict=True)
-        ]
+        first_seen = (np.where(run.channels, run.y[:first], np.nan) for run in self.stretches)
+        return [covariance_root(model.start_covariance(each)) for each in first_seen]
 
     def _filtered(self, p: Floats) -> list[tuple[Filter, list[tuple[Segment, Floats]]]]:
         """Settle the filter of each set of sensors; return it with the segments of this set and their `spreads`."""

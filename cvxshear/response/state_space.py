@@ -148,16 +148,17 @@ class Dynamics:
         """Stationary covariance of the state under the noise alone, shape (n, n)."""
         return doubled(self.A, self.Q)
 
-    def start_covariance(self, power: float, channels: Bools) -> Floats:
-        """Covariance of the state at the beginning of a record, shape (n, n).
+    def start_covariance(self, seen: Floats) -> Floats:
+        """Covariance of the first state of a record, shape (n, n).
 
-        The frame is in the stationary motion of a white excitation, beside that of the noise. The sensors that recorded
-        show this motion with a mean square of `power`.
+        The frame is in the stationary motion that a white excitation and the noise cause. Its mean square is that of
+        the sensors' first samples, shape (samples, m); missing ones are nan.
         """
         moved = self.before + self.after
         driven = doubled(self.A, np.outer(moved, moved))
-        shown = np.sum(self.H @ driven * self.H, axis=1)[channels]
-        return np.asarray(self.P0 + power / float(np.mean(shown)) * driven)
+        shown = np.broadcast_to(np.sum(self.H @ driven * self.H, axis=1), seen.shape)[np.isfinite(seen)]
+        power = float(np.nansum(seen**2)) / max(float(np.sum(shown)), 1e-300)
+        return np.asarray(self.P0 + power * driven)
 
     def seen_by(self, channels: Bools) -> Dynamics:
         """Return the model with a subset of its sensors; the mask has shape (m,)."""

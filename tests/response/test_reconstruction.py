@@ -87,7 +87,7 @@ def whitening(covariance):
 
 def test_the_sweeps_solve_the_program_on_every_backend(three):
     _, _, system, run = three
-    found = smooth(system, run, system.outputs.rows, START)
+    found = smooth(system, run, system.outputs.rows, START**2 * system.P0)
     program = motion_program(system, run, found.weights)
     scale = np.abs(found.states).max(axis=0)
     for name in backends.available():
@@ -134,7 +134,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     y[700, 1] += 5.0
     y[900:1250, 0] = np.nan
     run = DrivenRun(excitation, responses=y)
-    found = smooth(system, run, system.outputs.rows, START)
+    found = smooth(system, run, system.outputs.rows, START**2 * system.P0)
     states, covariances = kalman(system, run, found.weights)
     np.testing.assert_allclose(
         found.states / np.abs(states).max(axis=0), states / np.abs(states).max(axis=0), atol=1e-4
@@ -158,7 +158,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     y += np.sqrt(system.R) * rng.standard_normal(y.shape)
     y[1000:2500, 1] = np.nan
     run = DrivenRun(excitation[:, 0], responses=y)
-    found = smooth(system, run, np.zeros((0, 9)))
+    found = smooth(system, run, np.zeros((0, 9)), system.P0)
     pieces = parted(run, 100)
     assert [(part.start, part.stop, seen.tolist()) for part, seen in pieces] == [
         (0, 1000, [True, True]), (1000, 2500, [True, False]), (2500, 4000, [True, True])
@@ -665,6 +665,34 @@ def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened)
     np.testing.assert_allclose(found.peaks.values["story_drift"], true, rtol=0.01)
     assert np.all(np.abs(found.peaks.values["story_drift"] - true) < 3 * found.peaks.std["story_drift"])
     assert found.changed == (soft,)
+
+
+@pytest.mark.parametrize(("seconds", "baseline"), [(3.0, 0.0), (10.0, 0.0), (10.0, 0.02)])
+def test_bands_hold_in_a_piece_of_a_motion(softened, seconds, baseline):
+    """The piece begins and ends in the strong motion, whose straight lines are not its sensors'."""
+    models, motion, drift, soft, _ = softened
+    drive, piece = motion.runs[0], slice(600, 600 + round(seconds * study.RATE))
+    part = dataclasses.replace(drive, excitation=drive.excitation[piece] + baseline, responses=drive.responses[piece])
+    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), leave_out=False)
+    off = np.abs(found.runs[0].response.drift - drift[piece])
+    assert np.max(off / np.abs(drift[piece]).max(axis=0)) < (0.03 if baseline else 0.02)
+    if not baseline:
+        assert np.mean(off <= 1.96 * found.runs[0].std["story_drift"]) > 0.9
+    assert set(found.changed) <= {soft}
+
+
+def test_of_a_record_shorter_than_two_periods_nothing_is_told(softened):
+    """Such a record holds no scatter by which a fit could be judged, whatever its first samples are."""
+    models, motion, _, _, found = softened
+    periods = 1.9 / found.model.modes.frequencies[0]
+    piece = slice(600, 600 + int(periods * study.RATE))
+    run = motion.runs[0]
+    part = dataclasses.replace(run, excitation=run.excitation[piece], responses=run.responses[piece])
+    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), leave_out=False)
+    assert "two periods" in found.fallback
+    assert not found.changed
+    assert np.all(np.isnan(found.passed))
+    assert np.all(np.isfinite(found.peaks.std["story_drift"]))
 
 
 def recorded(frame, seed, floors, seconds=20.0):
