@@ -652,15 +652,22 @@ def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
     assert np.sqrt(np.mean(np.square(by_fit))) < 0.4 * np.sqrt(np.mean(np.square(by_prediction)))
 
 
+def piece_of(motion, rows, baseline=0.0):
+    """Return a piece of a record, with an offset of the base's sensor."""
+    (run,) = motion.runs
+    part = dataclasses.replace(run, excitation=run.excitation[rows] + baseline, responses=run.responses[rows])
+    return dataclasses.replace(motion, runs=(part,))
+
+
 def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened):
     """No recorded excitation causes the initial motion. The baselines, 0.02 m/s2 and zero, show in the quiet end."""
     models, motion, drift, soft, _ = softened
-    drive, late = motion.runs[0], slice(900, 4000)
-    part = dataclasses.replace(drive, excitation=drive.excitation[late] + 0.02, responses=drive.responses[late])
-    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), leave_out=False)
+    late = slice(900, 4000)
+    part = piece_of(motion, late, 0.02)
+    found = reconstruct(models, part, leave_out=False)
     true = np.abs(drift[late]).max(axis=0)
     assert np.all(np.abs(drift[900:950]).max(axis=0) > 0.1 * true)
-    taken = part.excitation - found.runs[0].excitation
+    taken = part.runs[0].excitation - found.runs[0].excitation
     np.testing.assert_allclose(taken, 0.02, atol=0.03)
     np.testing.assert_allclose(found.peaks.values["story_drift"], true, rtol=0.01)
     assert np.all(np.abs(found.peaks.values["story_drift"] - true) < 3 * found.peaks.std["story_drift"])
@@ -671,9 +678,8 @@ def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened)
 def test_bands_hold_in_a_piece_of_a_motion(softened, seconds, baseline):
     """The piece begins and ends in the strong motion, whose straight lines are not its sensors'."""
     models, motion, drift, soft, _ = softened
-    drive, piece = motion.runs[0], slice(600, 600 + round(seconds * study.RATE))
-    part = dataclasses.replace(drive, excitation=drive.excitation[piece] + baseline, responses=drive.responses[piece])
-    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), leave_out=False)
+    piece = slice(600, 600 + round(seconds * study.RATE))
+    found = reconstruct(models, piece_of(motion, piece, baseline), leave_out=False)
     off = np.abs(found.runs[0].response.drift - drift[piece])
     assert np.max(off / np.abs(drift[piece]).max(axis=0)) < (0.03 if baseline else 0.02)
     if not baseline:
@@ -684,11 +690,8 @@ def test_bands_hold_in_a_piece_of_a_motion(softened, seconds, baseline):
 def test_of_a_record_shorter_than_two_periods_nothing_is_told(softened):
     """Such a record holds no scatter by which a fit could be judged, whatever its first samples are."""
     models, motion, _, _, found = softened
-    periods = 1.9 / found.model.modes.frequencies[0]
-    piece = slice(600, 600 + int(periods * study.RATE))
-    run = motion.runs[0]
-    part = dataclasses.replace(run, excitation=run.excitation[piece], responses=run.responses[piece])
-    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), leave_out=False)
+    samples = int(1.9 / found.model.modes.frequencies[0] * study.RATE)
+    found = reconstruct(models, piece_of(motion, slice(600, 600 + samples)), leave_out=False)
     assert "two periods" in found.fallback
     assert not found.changed
     assert np.all(np.isnan(found.passed))
