@@ -330,7 +330,8 @@ def reconstruct(
     assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start of a loop that is closed here.
     detrend : bool, optional
-        Whether the straight line through each acceleration is removed as a fault of the sensor.
+        Whether straight lines through the accelerations are removed as faults of the sensors, if the identified frame
+        fits the record better without them.
     fit : bool, optional
         Whether the frame is fitted to the record; otherwise only the noise is fitted.
     leave_out : bool, optional

@@ -177,7 +177,7 @@ def setting(stories, case, seed, finer=1, seconds=SECONDS):
 
 def largest(drift):
     """Return the peaks of the band-limited motion through the samples, shape (N,)."""
-    return np.abs(signal.resample_poly(drift, FINER_PEAKS, 1)).max(axis=0)
+    return np.abs(signal.resample_poly(drift, FINER_PEAKS, 1, padtype="line")).max(axis=0)
 
 
 def against(found, drift):
