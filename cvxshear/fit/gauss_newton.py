@@ -6,8 +6,7 @@ relative to its sensitivity. Their weight rises after a step that failed and fal
 (Nielsen 1999).
 """
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Generic
 
@@ -216,7 +215,7 @@ def gauss_newton(
         # The unsolved step could have lowered the misfit.
         raise refused
     if accuracy.step <= FULL.step and fit.converged:
-        fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
+        fit = replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
 

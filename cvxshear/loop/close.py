@@ -5,12 +5,9 @@ the shear model is fitted first, and then the best set of the given one; it is s
 best.
 """
 
-from __future__ import annotations
-
 import copy
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,7 +46,7 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment, turning=True).with_priors(tuple(priors)))
-    experiment = dataclasses.replace(experiment, symmetric=experiment.frame.turns)
+    experiment = replace(experiment, symmetric=experiment.frame.turns)
     if experiment.stories > TALLEST_SEARCH:
         raise errors.UnsuitableError(
             f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
@@ -157,7 +154,7 @@ class Searches:
         """Frame that turns with all of its centers free, without effects; None for other frames."""
         if not self.experiment.symmetric:
             return None
-        return efficient(dataclasses.replace(self.experiment, symmetric=False), backends.get("auto")).theta
+        return efficient(replace(self.experiment, symmetric=False), backends.get("auto")).theta
 
     def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.

@@ -10,8 +10,6 @@ none is fitted or expanded twice, so the search ends; at the latest when its bud
 what it has not tried. Sets that tie are tried with each other's exchanges.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence

@@ -23,10 +23,9 @@ story or floor.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,7 +152,7 @@ class ShearFrames:
 
     def tolerant(self, part: float) -> ShearFrames:
         """Return the same with this part of the tolerances."""
-        return dataclasses.replace(self, readings=[dataclasses.replace(each, part=part) for each in self.readings])
+        return replace(self, readings=[replace(each, part=part) for each in self.readings])
 
     def tuned(self, theta: Floats) -> Floats:
         """Scale the stiffnesses to the mean frequency of the first reading."""
