@@ -468,7 +468,7 @@ def _window(length: int, *, decaying: bool) -> Floats:
     """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
     if not decaying:
         return np.hanning(length)[:, None]
-    rise = max(length // 10, 2)
+    rise = length // 10
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
 
 
