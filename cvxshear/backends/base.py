@@ -374,7 +374,7 @@ class Backend(ABC):
         within = problem.violated(problem.nearest()[0])
         iterations: int | None = 0
         while True:
-            part = self._checked(problem.keeping(within))
+            part = self._checked(replace(problem, F=problem.F[within], f=problem.f[within]))
             iterations = None if iterations is None or part.iterations is None else iterations + part.iterations
             missed = problem.violated(part.z) & ~within
             if not np.any(missed):

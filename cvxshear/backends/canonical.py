@@ -125,10 +125,6 @@ class Canonical:
         """Find the inequalities that a point violates by more than rounding, shape (g,)."""
         return np.asarray(self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED))
 
-    def keeping(self, inequalities: Bools) -> Canonical:
-        """Leave out all but some of the inequalities."""
-        return replace(self, F=self.F[inequalities], f=self.f[inequalities])
-
     def to_x(self, z: Floats) -> Floats:
         """Convert scaled unknowns to their own units."""
         return self._tau * (self._inverse @ z)

@@ -248,7 +248,6 @@ def _descended(
             return Fit(theta, at, Ending.STATIONARY, step), refused
         taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
-        gain = 0.0 if taken is None else at.objective - taken[1].objective
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused
@@ -256,6 +255,7 @@ def _descended(
             continue
         before = at
         theta, at = taken
+        gain = before.objective - at.objective
         given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == accuracy.flat_steps:

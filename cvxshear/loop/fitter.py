@@ -400,8 +400,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     value = 0.0
     assert program.lower is not None
     assert program.upper is not None
-    G = np.zeros((0, len(B))) if program.G is None else program.G
-    h = np.zeros(0) if program.h is None else program.h
+    G, h = program.replace(lower=None, upper=None).inequalities
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
     within = B / estimate.domain.interval_std[:, None]

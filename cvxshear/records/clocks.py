@@ -488,9 +488,9 @@ def folded_phase(values: Complexes) -> Floats:
     return np.angle(values * np.where(values.real < 0, -1.0, 1.0))
 
 
-def rms_phase(values: Complexes, weight: Floats | None = None) -> float:
-    """Root mean square angle off the real axis, degrees, weighted by default by the squared moduli."""
-    weight = np.abs(values) ** 2 if weight is None else weight
+def rms_phase(values: Complexes) -> float:
+    """Root mean square angle off the real axis, degrees, weighted by the squared moduli."""
+    weight = np.abs(values) ** 2
     return float(np.degrees(np.sqrt(np.sum(weight * folded_phase(values) ** 2) / np.sum(weight))))
 
 
