@@ -21,7 +21,7 @@ from cvxshear.loop import comparison, conclusion, hypotheses
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.posterior import Posterior, from_the_first_state
 from cvxshear.loop.results import LoopResult
-from cvxshear.loop.search import WITHIN, Search, holds_open
+from cvxshear.loop.search import WITHIN, Search
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.motions import symmetric
@@ -172,7 +172,7 @@ class Searches:
         others = list(self._possible(hypotheses.named_numberings(experiment)))
         if given.base.improbable or given.best.effects:
             others += self._possible(hypotheses.overlooked_in_all(experiment))
-        if given.best.improbable or holds_open(given.best.effects):
+        if given.unsatisfied:
             # Before a statement of the shear model is rejected, the mode numbers are questioned one test at a time.
             others += self._possible(hypotheses.overlooked_in_one(experiment))
         near = [given]

@@ -135,8 +135,6 @@ class Fitter:
     work : float
         Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL_FIT`). It does not
         depend on the machine.
-    base : Estimate or None
-        Fit of the set without effects, after this fit was made.
     general : ndarray, shape (10 N,), or None
         Frame with a center of its own for every floor and story that turns, fitted without effects.
     """
@@ -151,7 +149,6 @@ class Fitter:
     stand_ins: int = 0
     failures: dict[frozenset[LocatedEffect], errors.CvxshearError] = field(default_factory=dict)
     work: float = 0.0
-    base: Estimate | None = None
     general: Floats | None = None
     _log_odds: dict[LocatedEffect, float] = field(init=False)
 

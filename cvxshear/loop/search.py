@@ -71,7 +71,6 @@ class Search:
 
     def __init__(self, fitter: Fitter, base: Estimate) -> None:
         self.fitter = fitter
-        fitter.base = base
         self.base = fitter.model_of(base)
         self.visited: dict[Set, ModelClass] = {self.base.effects: self.base}
         self.other_optima: list[ModelClass] = []
@@ -108,7 +107,7 @@ class Search:
         """
         yield "fewer effects", self._prune, self._leaders
         yield "further effects", self._expand, self._leaders
-        if self._unsatisfied:
+        if self.unsatisfied:
             yield "masses on springs", self.add_motions, [self.best]
         yield "one cause for several", self._regroup, [self.best]
         yield "further effects", self._expand, self._near
@@ -155,7 +154,7 @@ class Search:
         return [each for each in near if each is self.best or not (holds_open(each.effects) or adds_only(each))]
 
     @property
-    def _unsatisfied(self) -> bool:
+    def unsatisfied(self) -> bool:
         """Whether no set of causes explains the data so far."""
         return self.best.improbable or holds_open(self.best.effects)
 

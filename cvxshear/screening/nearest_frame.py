@@ -95,13 +95,6 @@ class NearestFrame:
         """Modes of the frame."""
         return modes_of(*np.split(np.exp(self.theta), 2))
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of theta, shape (2N, 2N); infinite without a fit."""
-        if self.at is None:
-            return np.diag(np.full(len(self.theta), np.inf))
-        return np.asarray(np.linalg.pinv(self.at.J.T @ self.at.J))
-
 
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
     """Return the modes of a frame of these floor masses and story stiffnesses."""
