@@ -9,11 +9,10 @@ program.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,9 +137,7 @@ def accurate(program: Assembled, point: Point, *, bounded: bool = True) -> Accep
             raise _inaccurate(nearer)
         # Else the answer is accurate for its size; the last digits of the closed form are rounding in heavy rows.
     bound = largest_relative(errors, size)
-    return dataclasses.replace(
-        found, certificate=dataclasses.replace(found.certificate, error_bound=bound, errors=errors)
-    )
+    return replace(found, certificate=replace(found.certificate, error_bound=bound, errors=errors))
 
 
 def _refuse_ill_conditioned(program: Assembled, exact: Minimizer, size: Floats) -> None:
@@ -176,7 +173,7 @@ def onto_equalities(problem: Canonical, answer: Answer) -> Answer:
     for dual in answer.matrices:
         values, vectors = np.linalg.eigh(0.5 * (dual + dual.T))
         matrices.append((vectors * np.maximum(values, 0.0)) @ vectors.T)
-    return dataclasses.replace(answer, z=z, w=np.maximum(answer.w, 0.0), matrices=tuple(matrices))
+    return replace(answer, z=z, w=np.maximum(answer.w, 0.0), matrices=tuple(matrices))
 
 
 def distance(problem: Canonical, answer: Answer) -> float:
@@ -276,7 +273,7 @@ class Backend(ABC):
             found = self.semidefinite(assembled, problem)
         else:
             found = self.certified(assembled, problem, bounded=bounded)
-        return dataclasses.replace(found, seconds=time.perf_counter() - began)
+        return replace(found, seconds=time.perf_counter() - began)
 
     def certified(self, program: Assembled, problem: Canonical, *, bounded: bool = True) -> Solution:
         """Solve a program that is already scaled, and certify the solution.
@@ -318,15 +315,15 @@ class Backend(ABC):
         if not problem.singular:
             plain = program.program.replace(lmi=())
             try:
-                found = self.certified(Assembled(plain), dataclasses.replace(problem, lmi=()))
+                found = self.certified(Assembled(plain), replace(problem, lmi=()))
             except NoSolutionError:
                 # Only the matrix inequalities hold some direction well enough.
                 return self.conic(program, problem)
             certificate = certify(program, found.point)
             if certificate.primal_residual <= TOLERANCES.violation:
                 bound = found.certificate.error_bound
-                certificate = dataclasses.replace(certificate, error_bound=bound, errors=found.errors)
-                return dataclasses.replace(found, program=program.program, certificate=certificate)
+                certificate = replace(certificate, error_bound=bound, errors=found.errors)
+                return replace(found, program=program.program, certificate=certificate)
         return self.conic(program, problem)
 
     def conic(self, program: Assembled, problem: Canonical) -> Solution:
@@ -339,7 +336,7 @@ class Backend(ABC):
         if not problem.singular:
             errors = problem.reach(distance(problem, answer))
             bound = largest_relative(errors, program.size(point.x))
-            certificate = dataclasses.replace(certificate, error_bound=bound, errors=errors)
+            certificate = replace(certificate, error_bound=bound, errors=errors)
         return Solution(
             program.program, point, certificate, requested=self.name, backend=self.name, status=answer.status,
             iterations=answer.iterations,
@@ -377,24 +374,24 @@ class Backend(ABC):
         within = problem.violated(problem.nearest()[0])
         iterations: int | None = 0
         while True:
-            part = self._checked(problem.keeping(within))
+            part = self._checked(replace(problem, F=problem.F[within], f=problem.f[within]))
             iterations = None if iterations is None or part.iterations is None else iterations + part.iterations
             missed = problem.violated(part.z) & ~within
             if not np.any(missed):
                 w = np.zeros(len(within))
                 w[within] = part.w
-                return dataclasses.replace(part, w=w, iterations=iterations)
+                return replace(part, w=w, iterations=iterations)
             within |= missed
 
     def _with_all(self, problem: Canonical) -> Answer:
         """Solve with every inequality, if only these determine some direction; far inequalities are moved closer."""
         limit = FAR_SLACK
         while True:
-            answer = self._checked(dataclasses.replace(problem, f=np.minimum(problem.f, limit)))
+            answer = self._checked(replace(problem, f=np.minimum(problem.f, limit)))
             far = problem.f > limit
             if not np.any(far & (problem.F @ answer.z > 0.5 * limit)):
                 # Far inequalities are inactive; the solver's multipliers of them are rounding.
-                return dataclasses.replace(answer, w=np.where(far, 0.0, answer.w))
+                return replace(answer, w=np.where(far, 0.0, answer.w))
             limit *= FAR_SLACK
 
     def _checked(self, problem: Canonical) -> Answer:
@@ -419,7 +416,7 @@ class Backend(ABC):
             if not np.all(np.isfinite(values)):
                 first = values[~np.isfinite(values)][0]
                 raise NoSolutionError(self.name, f"its answer holds {first} (its own status: {answer.status})")
-        return dataclasses.replace(answer, z=checked["z"], y=checked["y"], w=checked["w"])
+        return replace(answer, z=checked["z"], y=checked["y"], w=checked["w"])
 
 
 class SolvedProgram(NamedTuple):

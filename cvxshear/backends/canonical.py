@@ -16,8 +16,7 @@ C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -102,7 +101,7 @@ class Canonical:
 
     def stated(self, scale: float = 1.0) -> LeastSquares:
         """Write this as a program, with a factor on unknowns and right sides; its objective is not halved."""
-        lmi = tuple(dataclasses.replace(each, constant=scale * each.constant) for each in self.lmi)
+        lmi = tuple(replace(each, constant=scale * each.constant) for each in self.lmi)
         return LeastSquares(self.C, scale * self.q, A=self.E, b=scale * self.e, G=self.F, h=scale * self.f, lmi=lmi)
 
     def nearest(self) -> tuple[Floats, Floats]:
@@ -125,10 +124,6 @@ class Canonical:
     def violated(self, z: Floats) -> Bools:
         """Find the inequalities that a point violates by more than rounding, shape (g,)."""
         return np.asarray(self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED))
-
-    def keeping(self, inequalities: Bools) -> Canonical:
-        """Leave out all but some of the inequalities."""
-        return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities])
 
     def to_x(self, z: Floats) -> Floats:
         """Convert scaled unknowns to their own units."""
@@ -174,7 +169,7 @@ def canonical(program: LeastSquares) -> Canonical:
     for place, each in enumerate(program.lmi):
         slopes = np.tensordot(inverse.T, each.slopes, 1)
         matrix_scale[place] = scale = 1.0 / np.max(np.abs(slopes))
-        lmi.append(dataclasses.replace(each, constant=scale * each.constant / tau, slopes=scale * slopes))
+        lmi.append(replace(each, constant=scale * each.constant / tau, slopes=scale * slopes))
     return Canonical(
         C, q / tau, E, e / tau, F, f / tau, singular, inverse, tau,
         equality_scale / tau, inequality_scale / tau, independent, tuple(lmi), matrix_scale / tau,

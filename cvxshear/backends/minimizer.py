@@ -15,8 +15,6 @@ with u = 4 sqrt(m) eps for a sum of m terms: rounding errors have either sign (H
 each unknown is the sum of the absolute values of the three matrices times these.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

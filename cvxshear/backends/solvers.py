@@ -11,14 +11,13 @@ is asked.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import sys
 import time
 import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module, metadata, resources, util
 from typing import TYPE_CHECKING, Any
@@ -240,7 +239,7 @@ class Cvxpy(CalledSolver):
         duals = iter(constraint.dual_value for constraint in stated.constraints)
         found = (z.value, *(next(duals) if len(side) else None for side in (problem.e, problem.f)))
         answer = self.answered(problem, found, status, stated.solver_stats.num_iters)
-        return dataclasses.replace(answer, matrices=tuple(np.asarray(dual) / (2.0 * self.scale) for dual in duals))
+        return replace(answer, matrices=tuple(np.asarray(dual) / (2.0 * self.scale) for dual in duals))
 
 
 @cache
@@ -368,7 +367,7 @@ class Auto(Backend):
     def _chosen(self, found: Solution, why: str) -> Solution:
         """Say which backend was chosen and why."""
         reason = f"auto chose {found.requested}: {why}" + (f"; {found.replaced}" if found.replaced else "")
-        return dataclasses.replace(found, requested=self.name, replaced=reason)
+        return replace(found, requested=self.name, replaced=reason)
 
 
 _registered: dict[str, Backend] = {}

@@ -343,23 +343,18 @@ class Uncertainty:
         return tuple(name for name, here in zip(self.names, on, strict=True) if here)
 
     @decorators.cached_property
-    def root(self) -> Floats:
-        """Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data.
-
-        Shape (P, f); J root has orthonormal columns.
-        """
-        return self.root_of(self.J)
-
-    @decorators.cached_property
     def reach(self) -> Floats:
-        """Directions as in `root`, without the rows `ends`, shape (P, g).
+        """Directions as in `root_of`, without the rows `ends`, shape (P, g).
 
         Parameters at an end of their interval may then move off it, and each interval acts as a prior.
         """
         return self._unit_directions(_with_intervals(self.J, self.interval_std), self.equalities, self.touching)
 
     def root_of(self, J: Floats) -> Floats:
-        """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
+        """Directions that the constraints leave free, each of unit effect on residuals of derivatives J, shape (P, f).
+
+        Bounds that are touched are held. J times the directions has orthonormal columns.
+        """
         return self._unit_directions(J, self.equalities, self.touching, self.ends)
 
     def _unit_directions(self, J: Floats, *constraints: Floats) -> Floats:

@@ -1,8 +1,7 @@
 """The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import special
@@ -284,7 +283,7 @@ def fitted(
     """
     if not misfit.unknown:
         return fitted_with(misfit, theta, backend, accuracy, start)
-    few = dataclasses.replace(accuracy, most_steps=NOISE_ITERATION.steps)
+    few = replace(accuracy, most_steps=NOISE_ITERATION.steps)
     estimate = fitted_with(misfit, theta, backend, few, start)
     longest, aim = NOISE_ITERATION.longest, dict[str, float]()
     for _ in range(NOISE_ITERATION.fits):
@@ -292,7 +291,7 @@ def fitted(
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
         if _same(noise.factors, before):
             if estimate.fit.converged:
-                return dataclasses.replace(estimate, noise=noise.estimate())
+                return replace(estimate, noise=noise.estimate())
             estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
             continue
         changes = [np.log(factor / before[key]) for key, factor in noise.factors]
@@ -311,7 +310,7 @@ def fitted(
         estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
     noise = _noise_at(estimate)
     same = _same(noise.factors, {key: estimate.misfit.noise.of(key) for key, _ in noise.factors})
-    return dataclasses.replace(estimate, noise=noise.estimate() if same else noise.unsettled())
+    return replace(estimate, noise=noise.estimate() if same else noise.unsettled())
 
 
 def _noise_at(estimate: Estimate) -> NoiseAtFit:
@@ -340,7 +339,7 @@ def fitted_with(
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta, misfit.held)
     fit = gauss_newton(misfit, theta, domain, backend, accuracy, start)
-    fit = dataclasses.replace(fit, at=fit.at.of_a_result())
+    fit = replace(fit, at=fit.at.of_a_result())
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

@@ -6,8 +6,7 @@ relative to its sensitivity. Their weight rises after a step that failed and fal
 (Nielsen 1999).
 """
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Generic
 
@@ -216,7 +215,7 @@ def gauss_newton(
         # The unsolved step could have lowered the misfit.
         raise refused
     if accuracy.step <= FULL.step and fit.converged:
-        fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
+        fit = replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
 
@@ -249,7 +248,6 @@ def _descended(
             return Fit(theta, at, Ending.STATIONARY, step), refused
         taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
-        gain = 0.0 if taken is None else at.objective - taken[1].objective
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused
@@ -257,6 +255,7 @@ def _descended(
             continue
         before = at
         theta, at = taken
+        gain = before.objective - at.objective
         given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == accuracy.flat_steps:

@@ -72,9 +72,7 @@ def identify(
     NoSolutionError
         If the backend does not solve a program.
     """
-    if method is not None:
-        checks.choice(method, METHODS, "method")
-    method = method or "efficient"
+    method = "efficient" if method is None else checks.choice(method, METHODS, "method")
     experiment = opened(experiment, turning=method in ("efficient", "one-shot")).with_priors(tuple(priors))
     solver = Recorder(backends.get(backend)) if keep_programs else backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)

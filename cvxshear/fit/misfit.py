@@ -13,9 +13,8 @@ compares two fits by the distance of their predictions (`fit/gaussian.py`).
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import optimize
@@ -542,7 +541,7 @@ def expected_configuration(
     frequency_std, shape_std : ndarray, shapes (m,) and (m, N)
         Relative; relative to a mode's largest entry over all floors.
     """
-    return dataclasses.replace(
+    return replace(
         blank,
         frequencies=frequencies,
         measured_floors=np.arange(1, shapes.shape[1] + 1),

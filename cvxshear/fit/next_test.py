@@ -1,7 +1,5 @@
 """Proposal of the next test: the added mass and state that distinguish the rivals best."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

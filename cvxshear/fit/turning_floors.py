@@ -9,9 +9,8 @@ them. The values along them are held at even floors and stories, and are not rep
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -205,8 +204,8 @@ def one_shot_turning(test: TurningTest, backend: Backend) -> SingleIdentificatio
     """Identify a frame whose floors turn from one configuration, without iteration."""
     found, experiment = OneShot.of(test, backend), test.experiment
     frame = reported(experiment, found.theta, found.spread, found.open, test.unseen)
-    declared = dataclasses.replace(experiment.frame, reference=None)
-    misfit = Misfit(dataclasses.replace(experiment, frame=declared, configurations=(test.configuration,)))
+    declared = replace(experiment.frame, reference=None)
+    misfit = Misfit(replace(experiment, frame=declared, configurations=(test.configuration,)))
     at = misfit.evaluate(found.theta, derivatives=False)
     free = len(found.theta) - found.open.shape[1]
     free -= test.stories if experiment.frame.floor_masses is not None else 1

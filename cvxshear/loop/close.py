@@ -5,12 +5,9 @@ the shear model is fitted first, and then the best set of the given one; it is s
 best.
 """
 
-from __future__ import annotations
-
 import copy
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +21,7 @@ from cvxshear.loop import comparison, conclusion, hypotheses
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.posterior import Posterior, from_the_first_state
 from cvxshear.loop.results import LoopResult
-from cvxshear.loop.search import WITHIN, Search, holds_open
+from cvxshear.loop.search import WITHIN, Search
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.motions import symmetric
@@ -49,7 +46,7 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment, turning=True).with_priors(tuple(priors)))
-    experiment = dataclasses.replace(experiment, symmetric=experiment.frame.turns)
+    experiment = replace(experiment, symmetric=experiment.frame.turns)
     if experiment.stories > TALLEST_SEARCH:
         raise errors.UnsuitableError(
             f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
@@ -157,7 +154,7 @@ class Searches:
         """Frame that turns with all of its centers free, without effects; None for other frames."""
         if not self.experiment.symmetric:
             return None
-        return efficient(dataclasses.replace(self.experiment, symmetric=False), backends.get("auto")).theta
+        return efficient(replace(self.experiment, symmetric=False), backends.get("auto")).theta
 
     def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
@@ -175,7 +172,7 @@ class Searches:
         others = list(self._possible(hypotheses.named_numberings(experiment)))
         if given.base.improbable or given.best.effects:
             others += self._possible(hypotheses.overlooked_in_all(experiment))
-        if given.best.improbable or holds_open(given.best.effects):
+        if given.unsatisfied:
             # Before a statement of the shear model is rejected, the mode numbers are questioned one test at a time.
             others += self._possible(hypotheses.overlooked_in_one(experiment))
         near = [given]

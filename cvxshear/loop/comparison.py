@@ -4,8 +4,6 @@ The frequencies of a configuration are predicted from data that exclude them, be
 test that mere extra freedom does not pass.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From the visited sets to the verdict and the reported result, without any further fit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

@@ -135,8 +135,6 @@ class Fitter:
     work : float
         Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL_FIT`). It does not
         depend on the machine.
-    base : Estimate or None
-        Fit of the set without effects, after this fit was made.
     general : ndarray, shape (10 N,), or None
         Frame with a center of its own for every floor and story that turns, fitted without effects.
     """
@@ -151,7 +149,6 @@ class Fitter:
     stand_ins: int = 0
     failures: dict[frozenset[LocatedEffect], errors.CvxshearError] = field(default_factory=dict)
     work: float = 0.0
-    base: Estimate | None = None
     general: Floats | None = None
     _log_odds: dict[LocatedEffect, float] = field(init=False)
 
@@ -400,8 +397,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     value = 0.0
     assert program.lower is not None
     assert program.upper is not None
-    G = np.zeros((0, len(B))) if program.G is None else program.G
-    h = np.zeros(0) if program.h is None else program.h
+    G, h = program.replace(lower=None, upper=None).inequalities
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
     within = B / estimate.domain.interval_std[:, None]

@@ -14,12 +14,9 @@ worse or better, and lies near its own minimum. No fit from the first frame reac
 also visited from this frame.
 """
 
-from __future__ import annotations
-
-import dataclasses
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -136,7 +133,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
 def _said(experiment: Experiment, effect: Effect, place: Place) -> list[ExpectedEffect]:
     """List the experiment's priors for an effect at a place, the most general first."""
-    at = dataclasses.asdict(place)
+    at = asdict(place)
     names = (effect.name, OPEN) if effect.kind == OPEN else (effect.name,)
     said = [each for each in experiment.expected if any(each.concerns(name, at) for name in names)]
     return sorted(said, key=lambda each: sum(getattr(each, part, None) is not None for part in at))
@@ -339,10 +336,10 @@ def _moved(modes: Ints, lost: int) -> Ints:
 def _renumbered(experiment: Experiment, changes: Changes) -> Experiment:
     modes = dict(changes)
     configurations = tuple(
-        dataclasses.replace(each, modes=np.array(modes[each.name]), other_modes=()) if each.name in modes else each
+        replace(each, modes=np.array(modes[each.name]), other_modes=()) if each.name in modes else each
         for each in experiment.configurations
     )
-    return dataclasses.replace(experiment, configurations=configurations)
+    return replace(experiment, configurations=configurations)
 
 
 def few_floors_seen(experiment: Experiment) -> bool:

@@ -9,8 +9,6 @@ floor masses of a state grow by one factor, every frequency falls in the same wa
 Twins depend on the model and the measured quantities, not on the sets that a search visited.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -300,11 +299,11 @@ class Posterior:
 
         share = weights / weights.sum()
         found: dict[str, Floats] = {}
-        for name in (each.name for each in dataclasses.fields(frames[0]) if hasattr(frames[0], f"{each.name}_std")):
+        for name in (each.name for each in fields(frames[0]) if hasattr(frames[0], f"{each.name}_std")):
             x, std = (np.array([getattr(frame, key) for frame in frames]) for key in (name, f"{name}_std"))
             found[name] = np.tensordot(share, x, 1)
             found[f"{name}_std"] = np.sqrt(np.tensordot(share, std**2 + (x - found[name]) ** 2, 1))
-        return dataclasses.replace(frames[0], at_bounds=(), **found)
+        return replace(frames[0], at_bounds=(), **found)
 
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
@@ -336,7 +335,7 @@ def from_the_first_state(
     def told(placed: LocatedEffect) -> LocatedEffect:
         if placed.place.state != first or placed.place.test is not None:
             return placed
-        return known.get((placed.effect.name, dataclasses.replace(placed.place, state=second)), placed)
+        return known.get((placed.effect.name, replace(placed.place, state=second)), placed)
 
     best = {(each.effects, each.changes): each for each in sorted(found, key=lambda model: model.score)}
     united: dict[int, tuple[ModelClass, list[float]]] = {}
@@ -345,9 +344,7 @@ def from_the_first_state(
         kept = other if fits_alike(model, other) else model
         united.setdefault(id(kept), (kept, []))[1].append(model.score)
     return [
-        dataclasses.replace(kept, log_prior=float(np.logaddexp.reduce(scores)) - kept.log_evidence)
-        if scores[1:]
-        else kept
+        replace(kept, log_prior=float(np.logaddexp.reduce(scores)) - kept.log_evidence) if scores[1:] else kept
         for kept, scores in united.values()
     ]
 

@@ -1,10 +1,7 @@
 """Verdicts and results of closing the loop, and the location of a residual by part of the data and by floor."""
 
-from __future__ import annotations
-
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -445,7 +442,7 @@ def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
 def by_part(estimate: Estimate) -> list[Deviation]:
     """List the residuals of each part of each datum and soft prior, in standard deviations of the fit's noise."""
     return [
-        dataclasses.replace(part, deviations=part.deviations / factor)
+        replace(part, deviations=part.deviations / factor)
         for datum, model, factor in _compared(estimate)
         for part in datum.describe(model)
     ] + estimate.misfit.statement_deviations(estimate.theta)

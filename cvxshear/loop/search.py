@@ -10,8 +10,6 @@ none is fitted or expanded twice, so the search ends; at the latest when its bud
 what it has not tried. Sets that tie are tried with each other's exchanges.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -73,7 +71,6 @@ class Search:
 
     def __init__(self, fitter: Fitter, base: Estimate) -> None:
         self.fitter = fitter
-        fitter.base = base
         self.base = fitter.model_of(base)
         self.visited: dict[Set, ModelClass] = {self.base.effects: self.base}
         self.other_optima: list[ModelClass] = []
@@ -110,7 +107,7 @@ class Search:
         """
         yield "fewer effects", self._prune, self._leaders
         yield "further effects", self._expand, self._leaders
-        if self._unsatisfied:
+        if self.unsatisfied:
             yield "masses on springs", self.add_motions, [self.best]
         yield "one cause for several", self._regroup, [self.best]
         yield "further effects", self._expand, self._near
@@ -157,7 +154,7 @@ class Search:
         return [each for each in near if each is self.best or not (holds_open(each.effects) or adds_only(each))]
 
     @property
-    def _unsatisfied(self) -> bool:
+    def unsatisfied(self) -> bool:
         """Whether no set of causes explains the data so far."""
         return self.best.improbable or holds_open(self.best.effects)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -94,7 +93,7 @@ def exact_frame(frame: Frame, *, total_released: bool = False) -> Frame:
     """Return the frame without its total mass, if that is uncertain or released by an effect."""
     uncertain = total_released or frame.total_mass_std is not None
     if frame.floor_masses is None and frame.total_mass is not None and uncertain:
-        return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
+        return replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
     return frame
 
 

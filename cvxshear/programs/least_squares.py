@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class LeastSquares:
     r"""Minimize :math:`|W (R x - s)|^2` subject to :math:`G x \le h`, :math:`A x = b`, lower <= x <= upper.
 
@@ -67,7 +66,7 @@ class LeastSquares:
     lower: Floats | None = None
     upper: Floats | None = None
     names: tuple[str, ...] = ()
-    sources: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sources: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     title: str = ""
     lmi: tuple[MatrixInequality, ...] = ()
 
@@ -284,7 +283,7 @@ class LeastSquares:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Solution:
     r"""The solution of a program. NumPy functions take it as its x.
 

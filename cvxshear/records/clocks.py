@@ -468,7 +468,7 @@ def _window(length: int, *, decaying: bool) -> Floats:
     """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
     if not decaying:
         return np.hanning(length)[:, None]
-    rise = max(length // 10, 2)
+    rise = length // 10
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
 
 
@@ -488,9 +488,9 @@ def folded_phase(values: Complexes) -> Floats:
     return np.angle(values * np.where(values.real < 0, -1.0, 1.0))
 
 
-def rms_phase(values: Complexes, weight: Floats | None = None) -> float:
-    """Root mean square angle off the real axis, degrees, weighted by default by the squared moduli."""
-    weight = np.abs(values) ** 2 if weight is None else weight
+def rms_phase(values: Complexes) -> float:
+    """Root mean square angle off the real axis, degrees, weighted by the squared moduli."""
+    weight = np.abs(values) ** 2
     return float(np.degrees(np.sqrt(np.sum(weight * folded_phase(values) ** 2) / np.sum(weight))))
 
 

@@ -164,8 +164,6 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
         columns = {"story": [str(story) for story in range(1, len(cells) + 1)], "% of height": cells}
         columns |= {f"P(> {name})": _chances(each) for name, _, each in _passed(result)}
         yield blocks.table("prediction-drift-ratios", "peak drift ± standard deviation", columns, top_first=True)
-    if result.after.fitted.covariance is None:
-        return
     if result.missed is None or result.after.comparison is None:
         yield blocks.Sentence(
             "the deviations hold what the frame leaves uncertain, not the noise of the measured excitation nor what "
@@ -367,13 +365,11 @@ SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2")
 
 
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
-    """List each run's excitation (m/s2 or N), its response, and the known standard deviations by quantity."""
+    """List each run's excitation (m/s2 or N), its response, and the standard deviations by quantity."""
     if isinstance(result, Reconstruction):
         return [(run.excitation, run.response, run.std) for run in result.runs]
-    return [
-        (run.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
-        for run, response, std in zip(result.motion.runs, result.after.responses, result.std, strict=True)
-    ]
+    excitations = [run.excitation for run in result.motion.runs]
+    return list(zip(excitations, result.after.responses, result.std, strict=True))
 
 
 def series(result: Moved) -> dict[str, Floats]:
@@ -383,7 +379,7 @@ def series(result: Moved) -> dict[str, Floats]:
     -------
     dict of str to ndarray, shape (samples,)
         `run` (from 1, several one after the other), `time` (s, from the start of each), `excitation` (m/s2 or N), then
-        the applicable columns of `COLUMN_NAMES`, each followed by its known standard deviations (`drift_std_1`).
+        the applicable columns of `COLUMN_NAMES`, each followed by its standard deviations (`drift_std_1`).
     """
     runs = []
     for place, (excitation, response, std) in enumerate(_runs(result), 1):

@@ -85,7 +85,7 @@ def modal_rows(frame: UncertainFrame, varied: VariedFrame) -> tuple[Floats, Floa
         return np.concatenate([np.zeros(0), *parts])
 
     centre = described(np.zeros(N + W + X))
-    if not len(centre) or not frame.uncertain:
+    if not len(centre):
         return np.zeros((0, N + W + X)), np.zeros(0)
     J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
     # The sensors of the tests had other gains.
@@ -114,8 +114,6 @@ class FrameChange:
     ----------
     kind : str
         "story", "dashpot", "gain", "delay" (the excitation's last), or "gains" or "masses" for all together.
-    place : int
-        Story or sensor, from 0.
     columns : ndarray, shape (P, k)
         Changes of the unknowns, one standard deviation each.
     log_odds : float
@@ -123,7 +121,6 @@ class FrameChange:
     """
 
     kind: str
-    place: int
     columns: Floats
     log_odds: float
 
@@ -172,25 +169,25 @@ class FramePrior:
         damped, late = (_at_each(UNDECLARED_PROBABILITY, count) for count in (experiment.stories, varied.gains))
         delays = range(len(unit) - varied.gains + 1, len(unit))
         changes = [
-            FrameChange(kind, place, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
+            FrameChange(kind, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
                 ("dashpot", _range(varied.dashpots), 1.0, damped),
                 ("gain", _range(varied.sensor_gains), gain, off),
                 ("delay", delays, 1.0, late),
             )
-            for place, at in enumerate(places)
+            for at in places
         ]
         # A late excitation is equivalent to sensors that are all early.
         common = unit[:, delays].sum(axis=1, keepdims=True)
-        changes.append(FrameChange("delay", len(delays), common, float(np.log(late / (1.0 - late)))))
+        changes.append(FrameChange("delay", common, float(np.log(late / (1.0 - late)))))
         laboratory, field = GAIN_STDS
-        changes.append(FrameChange("gains", 0, np.sqrt(field**2 - laboratory**2) * unit[:, varied.sensor_gains], 0.0))
+        changes.append(FrameChange("gains", np.sqrt(field**2 - laboratory**2) * unit[:, varied.sensor_gains], 0.0))
         if varied.heavier_floors.shape[1]:
             heavier = np.zeros((len(unit), experiment.stories))
             heavier[: -others or None] = MASS_STD * varied.heavier_floors
             odds = float(np.log(UNDECLARED_PROBABILITY / (1.0 - UNDECLARED_PROBABILITY)))
-            changes.append(FrameChange("masses", 0, heavier, odds))
+            changes.append(FrameChange("masses", heavier, odds))
         rows = modal_rows(frame, varied)
         return FramePrior(varied, others, frame.conditional_stiffness(), rows, tuple(changes))
 

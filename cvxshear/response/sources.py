@@ -45,8 +45,8 @@ class Fitted:
     effects : tuple of LocatedEffect
     theta : ndarray, shape (P,)
         Floor masses (N), story stiffnesses (N), parameters of the effects.
-    covariance : ndarray, shape (P, P), optional
-        Covariance of the part that the data determine; None if the noise is unknown.
+    covariance : ndarray, shape (P, P)
+        Covariance of the part that the data determine.
     undetermined : tuple of tuple of str
         For each direction that the data do not determine, the parameters that take part.
     misfit : float, optional
@@ -58,7 +58,7 @@ class Fitted:
     experiment: Experiment
     effects: tuple[LocatedEffect, ...]
     theta: Floats
-    covariance: Floats | None
+    covariance: Floats
     undetermined: tuple[tuple[str, ...], ...] = ()
     misfit: float = 1.0
     lacking: float = 0.0
@@ -89,8 +89,8 @@ class Fitted:
 
     @cached_property
     def root(self) -> Floats:
-        """Factor L with L L' = covariance, shape (P, r); r is 0 if the covariance is unknown."""
-        return np.zeros((len(self.theta), 0)) if self.covariance is None else covariance_root(self.covariance)
+        """Factor L with L L' = covariance, shape (P, r)."""
+        return covariance_root(self.covariance)
 
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
@@ -298,11 +298,6 @@ def assumptions(
         Whether the user named the configuration.
     """
     said = state_remarks(fitted.experiment, before, configuration, named=named) + line_remarks(before, after)
-    if fitted.covariance is None:
-        said.append(
-            "no standard deviations: the measurement declares no noise and has no data left to estimate it by, so that "
-            "the identified stiffnesses are taken as exact"
-        )
     if not fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if fitted.experiment.limits is not None and passed is None:

@@ -73,11 +73,6 @@ class UncertainFrame:
         return UncertainFrame(fitted, configuration, damping.damping_ratios(experiment, configuration), named, backend)
 
     @property
-    def uncertain(self) -> bool:
-        """Whether the standard deviations of the parameters are known."""
-        return self.fitted.covariance is not None
-
-    @property
     def size(self) -> int:
         """Number of standard normal numbers xi."""
         return int(self.fitted.root.shape[1]) + len(self.ratios.values)
@@ -99,12 +94,9 @@ class UncertainFrame:
         A fit to a record compares its stiffnesses with this covariance; masses and effects stay fixed.
         """
         n = self.fitted.experiment.stories
-        covariance = self.fitted.covariance
-        if covariance is None:
-            return np.zeros((n, n))
         own = slice(n, 2 * n)
         along = self.nuisance_root()[own]
-        given = self.fitted.misfit * covariance[own, own] - along @ along.T
+        given = self.fitted.misfit * self.fitted.covariance[own, own] - along @ along.T
         root = covariance_root(given / np.outer(self.fitted.theta[own], self.fitted.theta[own]))
         return root @ root.T
 
@@ -112,8 +104,6 @@ class UncertainFrame:
         """Return L; L L' is the covariance of masses and effects, with the stiffnesses conditional on both."""
         n = self.fitted.experiment.stories
         covariance = self.fitted.covariance
-        if covariance is None:
-            return np.zeros((len(self.fitted.theta), 0))
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
         # With R R' the covariance of masses and effects, the stiffnesses follow by their regression.
         own = covariance_root(covariance[np.ix_(rest, rest)])
@@ -187,18 +177,15 @@ def either_side(at: Callable[[float], T]) -> tuple[T, T, float]:
 
 
 def propagated(frame: UncertainFrame, function: Callable[[Damped], dict[str, Floats]]) -> dict[str, Floats]:
-    """Return the standard deviations of arrays that are functions of the frame; nan if the noise is unknown."""
-    values = function(frame.centre)
-    if not frame.uncertain:
-        return {name: np.full_like(each, np.nan) for name, each in values.items()}
+    """Return the standard deviations of arrays that are functions of the frame."""
 
     def away(xi: Floats, size: float) -> dict[str, Floats]:
         return function(frame.at(size * xi))
 
-    variance = {name: np.zeros_like(each) for name, each in values.items()}
+    variance = {name: np.zeros_like(each) for name, each in function(frame.centre).items()}
     for xi in np.eye(frame.size):
         above, below, size = either_side(partial(away, xi))
-        for name in values:
+        for name in variance:
             variance[name] += ((above[name] - below[name]) / (2 * size)) ** 2
     return {name: np.sqrt(each) for name, each in variance.items()}
 

@@ -307,7 +307,8 @@ def _implied_total(experiment: Experiment) -> tuple[float, float]:
         return float(masses.sum()), np.inf
     share = masses / masses.sum()
     scatter = max(1.0, found.misfit / max(len(found.at.r) - len(found.theta), 1))
-    return float(masses.sum()), float(np.sqrt(scatter * share @ found.covariance[:N, :N] @ share))
+    covariance = np.linalg.pinv(found.at.J.T @ found.at.J)[:N, :N]
+    return float(masses.sum()), float(np.sqrt(scatter * share @ covariance @ share))
 
 
 def _near(found: NearestFrame, frames: ShearFrames) -> bool:

@@ -403,7 +403,7 @@ def _misfits(experiment: Experiment, configuration: Configuration) -> list[_Misf
         motion, _, rank, _ = np.linalg.lstsq(rows, reading, rcond=None)
         misfit, freedom = misfit + float(np.sum((rows @ motion - reading) ** 2)), freedom + len(reading) - int(rank)
     program, even = test.one_shot_masses(), test.even_masses
-    known = np.zeros((0, len(even))) if program.A is None else program.A
+    known, _ = program.equalities
     rows, aim = program.weighted
     # Parameters are as large as those of even floors, which decide what the modes leave open.
     size = np.ravel(even[::4, None] * experiment.radius[:, None] ** [0.0, 1.0, 1.0, 2.0])

@@ -23,10 +23,9 @@ story or floor.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,13 +95,6 @@ class NearestFrame:
         """Modes of the frame."""
         return modes_of(*np.split(np.exp(self.theta), 2))
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of theta, shape (2N, 2N); infinite without a fit."""
-        if self.at is None:
-            return np.diag(np.full(len(self.theta), np.inf))
-        return np.asarray(np.linalg.pinv(self.at.J.T @ self.at.J))
-
 
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
     """Return the modes of a frame of these floor masses and story stiffnesses."""
@@ -153,7 +145,7 @@ class ShearFrames:
 
     def tolerant(self, part: float) -> ShearFrames:
         """Return the same with this part of the tolerances."""
-        return dataclasses.replace(self, readings=[dataclasses.replace(each, part=part) for each in self.readings])
+        return replace(self, readings=[replace(each, part=part) for each in self.readings])
 
     def tuned(self, theta: Floats) -> Floats:
         """Scale the stiffnesses to the mean frequency of the first reading."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cvxshear.backends import Backend
@@ -111,7 +110,7 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     """
     experiment = opened(experiment, turning=True)
     found = tuple(
-        dataclasses.replace(item, refuses=False) if item.name in NUMBERS and item.configuration in weighed else item
+        replace(item, refuses=False) if item.name in NUMBERS and item.configuration in weighed else item
         for item in screen(experiment)
     )
     for item in found:
@@ -170,4 +169,4 @@ def close_loop(
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})
     found = close.search_for_effects(experiment, effects, assume, backend, priors)
-    return dataclasses.replace(found, warnings=warnings)
+    return replace(found, warnings=warnings)

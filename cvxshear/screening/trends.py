@@ -11,9 +11,8 @@ stories, times exp(p x), with a known number x of each test,
 The loop weighs the trends: its search, evidence, noise and rivals decide.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -271,7 +270,7 @@ def courses(experiment: Experiment) -> tuple[Courses, Courses]:
     for at, test in enumerate(tests[1:], 1):
         dated = f" ({test.date})" if test.date is not None and test.date not in test.name else ""
         step = TrendPlace(kind="step", first=test.name, since=f'"{test.name}"{dated}')
-        over_time |= {dataclasses.replace(step, story=i): (order >= at).astype(float) for i in stories}
+        over_time |= {replace(step, story=i): (order >= at).astype(float) for i in stories}
     follows = {}
     if temperatures := _of_all(tests, "temperature"):
         follows[TrendPlace(kind="temperature")] = _centred(np.array(temperatures) / SEASONS)
@@ -314,7 +313,7 @@ def one_experiment(folder: str | Path | Sequence[str | Path]) -> tuple[Experimen
                 raise errors.InputError(f"{file} declares another {key} than {first}; one history has one frame")
     dates = _dates(tests)
     order = range(len(tests)) if dates is None else np.argsort(dates, kind="stable")
-    frame = dataclasses.replace(model.frame, reference=None)
+    frame = replace(model.frame, reference=None)
     name = Path(folder).resolve().name if isinstance(folder, str | Path) else model.name
     return Experiment(frame, tuple(tests[at] for at in order), model.priors, name), tuple(skipped)
 
@@ -325,10 +324,7 @@ def _named(file: Path, experiment: Experiment) -> list[Configuration]:
     names = [
         f"{named_after(file)}: {each.name}" if several else named_after(file) for each in experiment.configurations
     ]
-    return [
-        dataclasses.replace(each, name=name, state=name)
-        for each, name in zip(experiment.configurations, names, strict=True)
-    ]
+    return [replace(each, name=name, state=name) for each, name in zip(experiment.configurations, names, strict=True)]
 
 
 def _of_all(tests: Sequence[Configuration], key: str) -> list[Any]:

@@ -130,7 +130,7 @@ def estimated(p_value, chi2=30.0, dof=10, shape=0.04):
 )  # fmt: skip
 def test_a_model_that_its_tests_speak_against_is_widened_by_what_they_leave(estimate, expected):
     assert sources._misfit(estimate) == expected
-    plain = sources.Fitted(None, (), None, None)
+    plain = sources.Fitted(None, (), None, np.eye(2))
     assert (plain.undetermined, plain.misfit, plain.lacking) == ((), 1.0, 0.0)
 
 

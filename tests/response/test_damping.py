@@ -112,10 +112,9 @@ def test_without_ratios_there_is_no_damping():
         experiment, configurations=[dataclasses.replace(experiment.configurations[0], damping_ratios=None)]
     )
     assert damping_of(bare, dataclasses.replace(estimate, misfit=type(estimate.misfit)(bare))) is None
+    fitted = dataclasses.replace(Fitted.of(estimate), experiment=bare)
     with pytest.raises(InputError, match="nothing tells how the frame is damped: give damping_ratios"):
-        UncertainFrame.of(
-            Fitted(bare, (), estimate.theta, None), bare.configurations[0], None, backends.get("auto")
-        )  # fmt: skip
+        UncertainFrame.of(fitted, bare.configurations[0], None, backends.get("auto"))
 
 
 def test_rayleigh_needs_two_modes():

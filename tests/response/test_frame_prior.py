@@ -21,10 +21,10 @@ from tests.frames import chain
 from tests.response.common import damped_frame, damped_measurement, matrices, pole_ratios
 
 CHANGES = (
-    frame_prior.FrameChange("story", 0, 0.5 * np.eye(5)[:, :1], -2.5),
-    frame_prior.FrameChange("story", 1, 0.5 * np.eye(5)[:, 1:2], -2.5),
-    frame_prior.FrameChange("gain", 0, 0.8 * np.eye(5)[:, 4:], -3.0),
-    frame_prior.FrameChange("masses", 0, np.random.default_rng(1).standard_normal((5, 2)), -2.0),
+    frame_prior.FrameChange("story", 0.5 * np.eye(5)[:, :1], -2.5),
+    frame_prior.FrameChange("story", 0.5 * np.eye(5)[:, 1:2], -2.5),
+    frame_prior.FrameChange("gain", 0.8 * np.eye(5)[:, 4:], -3.0),
+    frame_prior.FrameChange("masses", np.random.default_rng(1).standard_normal((5, 2)), -2.0),
 )
 """Possible changes of a frame with five unknowns."""
 
@@ -75,7 +75,7 @@ def test_a_dashpot_has_no_evidence_where_it_would_be_negative():
     linear = frame_prior.Linear(at, np.zeros(2), frame_prior.Gaussian(*prior))
     sets = [(), (0,), (1,), (0, 1)]
     either, positive = (
-        linear.evidences([frame_prior.FrameChange(kind, place, np.eye(2)[:, [place]], 0.0) for place in range(2)], sets)
+        linear.evidences([frame_prior.FrameChange(kind, np.eye(2)[:, [place]], 0.0) for place in range(2)], sets)
         for kind in ("story", "dashpot")
     )
     assert np.isfinite(positive).tolist() == [True, True, False, False]
@@ -292,7 +292,7 @@ def test_the_prior_has_what_the_catalogue_or_the_file_expects_of_a_story(uncerta
         uncertain = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
     found = frame_prior.FramePrior.around(uncertain, VariedFrame.around(uncertain), 4)
     stories = [each for each in found.changes if each.kind == "story"]
-    assert [each.place for each in stories] == [0, 1, 2]
+    assert [np.flatnonzero(each.columns).tolist() for each in stories] == [[0], [1], [2]]
     for each in stories:
         assert np.linalg.norm(each.columns) == pytest.approx(size)
         assert (1.0 - 1.0 / (1.0 + np.exp(-each.log_odds))) ** 3 == pytest.approx(1.0 - probability)

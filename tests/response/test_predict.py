@@ -228,14 +228,6 @@ def test_forces_are_left_out_where_masses_have_no_scale(frame):
     assert any("no scale" in remark for remark in said["remarks"])
 
 
-def test_without_noise_there_are_no_deviations(frame):
-    experiment, estimate, truth = frame
-    found = predict(Models(None, Fitted(experiment, (), estimate.theta, None)), recorded(truth))
-    assert found.to_dict()["peaks"]["story_drift_std"] == [None] * 3
-    assert any(remark.startswith("no standard deviations") for remark in found.remarks)
-    assert "acceleration_std_1" not in series(found)
-
-
 def test_several_runs_and_some_floors(frame):
     _, estimate, truth = frame
     one = recorded(truth, floors=(1, 3))
