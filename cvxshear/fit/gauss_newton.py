@@ -84,7 +84,7 @@ class Accuracy:
 
 FULL = Accuracy()
 #: Accuracy of the search over sets of effects: a model far from the data needs no exact fit.
-ROUGH = Accuracy(step=0.1, most_steps=30, least_gain=0.02)
+ROUGH = Accuracy(step=1e-2, most_steps=30, least_gain=0.02)
 
 
 class Ending(StrEnum):

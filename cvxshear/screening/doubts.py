@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 
 from cvxshear.data.kinds import mac
-from cvxshear.fit.gauss_newton import FULL
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import MeasuredModes, repeated_configurations
 from cvxshear.screening import nearest_frame
@@ -301,7 +300,6 @@ def _implied_total(experiment: Experiment) -> tuple[float, float]:
     if not _near(found, frames):
         others = frames.nearest(frames.odd_starts(begin))
         found = frames.nearest([found.theta, others.theta])
-    found = frames.nearest([found.theta], FULL)
     masses = np.exp(found.theta[:N])
     if found.at is None or not _near(found, frames):
         return float(masses.sum()), np.inf

@@ -159,7 +159,7 @@ class ShearFrames:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
         return sum(each.certainty_lost() for each in self.readings)
 
-    def nearest(self, starts: Iterable[Floats], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH) -> NearestFrame:
+    def nearest(self, starts: Iterable[Floats]) -> NearestFrame:
         """Return the best fit that begins at one of these logarithms, shape (2N,)."""
         size = len(self.expected)
         found = []
@@ -168,7 +168,7 @@ class ShearFrames:
                 begin = self.tuned(each)
                 within = NamedConstraints("reach", Constraints(lower=begin - FARTHEST_LOG, upper=begin + FARTHEST_LOG))
                 inside = domain.Domain((within,), np.ones(size), np.full(size, np.inf))
-                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), accuracy)
+                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), gauss_newton.ROUGH)
             except errors.CvxshearError:
                 # No step from here can be solved in 64 bits.
                 found.append(NearestFrame(each))
