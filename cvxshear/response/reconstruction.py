@@ -397,10 +397,14 @@ def _has_lines(frame: UncertainFrame, recorded: DrivenRecord) -> bool:
     without = without_drift(frame.centre.model, recorded)
     if not sources.line_remarks(recorded, without):
         return True
-    as_recorded, off = (
-        _most_probable(frame, [each], free=False, detrend=detrend)[1][0]
-        for each, detrend in ((recorded, False), (without, True))
-    )
+    try:
+        as_recorded, off = (
+            _most_probable(frame, [each], free=False, detrend=detrend)[1][0]
+            for each, detrend in ((recorded, False), (without, True))
+        )
+    except (np.linalg.LinAlgError, NoModesError):
+        # `_motion` tells why the identified frame has no motion near the record.
+        return True
     return off >= as_recorded
 
 
