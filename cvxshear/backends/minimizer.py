@@ -15,6 +15,8 @@ with u = 4 sqrt(m) eps for a sum of m terms: rounding errors have either sign (H
 each unknown is the sum of the absolute values of the three matrices times these.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 
@@ -68,6 +70,10 @@ class _Local:
 
     Parameters
     ----------
+    basis : _Basis
+        Basis of the range of the active constraints and of their null space.
+    directions : ndarray, shape (n, k)
+        Basis of the null space of the active constraints, its columns of orthonormal effect on the rows.
     particular : ndarray, shape (n, p)
         P: motion of the minimizer with the right side of each independent active constraint, as a row of unit length.
     deviation : float
@@ -78,6 +84,8 @@ class _Local:
         Bounds on the errors of their multipliers.
     """
 
+    basis: _Basis
+    directions: Floats
     particular: Floats
     deviation: float
     independent: Ints
@@ -135,13 +143,21 @@ def _multiplier_errors(program: Assembled, local: _Local, active: Bools) -> Floa
 def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools) -> Minimizer:
     """Enlarge a minimizer's bounds if rounding prevents the decision whether an inequality is active.
 
-    If an inequality is inactive but was assumed active, the minimizer moves by P t / |R P|^2, with -t the multiplier
-    that cannot be excluded. Without this, 35 of 538 answers to programs with degenerate constraints and to the last
-    step of an iteration are outside their bounds (`python -m tests.studies hard_programs 216 11`). If one is active but
-    was assumed inactive, its violation is within the error of its terms, which the bounds hold already.
+    If an inequality is active but was assumed inactive, the minimizer moves by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
+    with v the violation that cannot be excluded; if one is inactive but was assumed active, by P t / |R P|^2, with -t
+    the multiplier that cannot be excluded. Without this, 36 of 537 answers to programs with degenerate constraints and
+    to the last step of an iteration are outside their bounds (`python -m tests.studies hard_programs 216 11`).
     """
-    lengths = program.lengths
+    lengths, x = program.lengths, found.point.x
     errors, variances = found.errors * lengths, (found.deviations * lengths) ** 2
+    G, absolute_G = program.G, program.absolute[1]
+    doubt = G @ x - program.h + absolute_G @ found.errors + SUM_ROUNDING * (np.abs(program.h) + absolute_G @ np.abs(x))
+    for i in np.flatnonzero(~active & (doubt > 0)):
+        row = G[i] / lengths
+        # An inequality that follows from the active ones changes nothing.
+        if np.linalg.norm(local.basis.on_null_space(row[None])) > RANK_TOLERANCE * program.inequality_lengths[i]:
+            gradient = local.directions.T @ row
+            errors = errors + np.abs(local.directions @ gradient) * doubt[i] / float(gradient @ gradient)
     weights = found.point.w[active] * program.inequality_lengths[active]
     for column, place in enumerate(local.independent):
         if place < len(program.b):
@@ -208,7 +224,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
         errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
         off = np.abs(pseudoinverse).T @ (_unit(r) * (program.absolute_rows.T @ terms))
     deviation = length(residual) / math.sqrt(max(1, r - directions.shape[1]))
-    local = _Local(particular, deviation, np.flatnonzero(keep), off)
+    local = _Local(basis, directions, particular, deviation, np.flatnonzero(keep), off)
     found = Minimizer(
         Point(x, multipliers[: len(program.b)], w),
         np.abs(correction) + errors / program.lengths,

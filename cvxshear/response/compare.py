@@ -396,6 +396,11 @@ def as_predicted(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
 
 
 def without_drift(model: DampedModel, record: DrivenRecord) -> DrivenRecord:
-    """Subtract the straight lines through the base acceleration, and through each channel minus its prediction."""
+    """Subtract the straight lines through the base acceleration, and through each channel minus its prediction.
+
+    A short record (`lasts`) stays as it is.
+    """
+    if not lasts(model, record):
+        return record
     record = without_base_line(record)
     return without_lines(record, [seen(model, each, record.floors) for each in predicted_responses(model, record)])

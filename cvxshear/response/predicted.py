@@ -11,14 +11,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response import sources, uncertain
-from cvxshear.response.compare import (
-    RecordComparison,
-    as_predicted,
-    compared,
-    lasts,
-    predicted_responses,
-    without_drift,
-)
+from cvxshear.response.compare import RecordComparison, as_predicted, compared, predicted_responses, without_drift
 from cvxshear.response.recording import RecordSource, recording_of
 from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
@@ -300,7 +293,6 @@ def predict(
         If the backend does not solve a program.
     """
     models, frame, recorded = set_up(source, record, backend, damping, configuration, assume)
-    detrend = detrend and lasts(frame.centre.model, recorded)
     motion = without_drift(frame.centre.model, recorded) if detrend else recorded
     before = None
     if models.before is not None:

@@ -154,8 +154,7 @@ class Dynamics:
         The frame is in the stationary motion that a white excitation and the noise cause. Its mean square is that of
         the sensors' first samples, shape (samples, m); missing ones are nan.
         """
-        moved = self.before + self.after
-        driven = doubled(self.A, np.outer(moved, moved))
+        driven = doubled(self.A, np.outer(self.before + self.after, self.before + self.after))
         shown = np.broadcast_to(np.sum(self.H @ driven * self.H, axis=1), seen.shape)[np.isfinite(seen)]
         power = float(np.nansum(seen**2)) / max(float(np.sum(shown)), 1e-300)
         return np.asarray(self.P0 + power * driven)
