@@ -219,7 +219,8 @@ class Searches:
         numbering = search.fitter.numbering
         if not hypotheses.few_floors_seen(numbering.experiment):
             return None
-        if search.visit_from([*self._duals(search), *self._changes(search)]):
+        found = [search.visit_from(self._duals(search)), self._visit_changes(search)]
+        if any(found):
             search.run()
         while search.visit_exchanges():
             search.run()
@@ -252,8 +253,8 @@ class Searches:
             if (dual := hypotheses.dual_set(model.effects, known, n)) is not None
         ]
 
-    def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
-        """List every change of a state that has a dual, with several frames to start from.
+    def _visit_changes(self, search: Search) -> bool:
+        """Visit every change of a state that has a dual, from several frames; return whether a better fit was found.
 
         These are the frame of each single state and its dual. The shear model of all states lies between their frames,
         and may be nearer to another minimum.
@@ -273,4 +274,4 @@ class Searches:
             )
             frame = search.fitter.fit(misfit, base.theta, gauss_newton.ROUGH).theta[: 2 * n]
             frames += [frame, hypotheses.dual_frame(frame)]
-        return [(frozenset([each]), frame) for each in placed for frame in frames]
+        return search.visit_alone(placed, frames)

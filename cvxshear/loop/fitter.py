@@ -26,7 +26,7 @@ from cvxshear import backends
 from cvxshear.data import NoiseFactors
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gauss_newton, gaussian
-from cvxshear.fit.efficient import Estimate, fitted
+from cvxshear.fit.efficient import Estimate, fitted, fitted_with
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.turning_floors import general_parameters
 from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
@@ -236,6 +236,12 @@ class Fitter:
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
+
+    def at(self, base: Estimate, frame: Floats) -> Estimate:
+        """Evaluate the model of a fit at another frame, without a step."""
+        theta = np.concatenate([frame, base.theta[len(frame) :]])
+        none = gauss_newton.Accuracy(most_steps=0)
+        return with_stand_in(self.backend, lambda by: fitted_with(base.misfit, theta, by, none))[0]
 
     def models(
         self, proposals: Sequence[FitProposal], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH

@@ -26,7 +26,7 @@ from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 #: Number of best visited sets that are expanded.
-BEAM = 6
+BEAM = 4
 
 #: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
 REPORTED = 1e-3
@@ -167,12 +167,14 @@ class Search:
         base = self.base.estimate
         if model is self.base and not model.improbable:
             return
+        # Where causes explain the data, a rival must promise to come near them.
+        most = np.inf if self.unsatisfied else self.best.estimate.fit.at.objective + 2.0 * WITHIN
         if ("motions", self.base.effects) not in self._done:
             self._done.add(("motions", self.base.effects))
             motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
             alone = [(self.fitter.proposal(base, (*base.effects, motion)), motion) for motion in motions]
-            self._fit(_from_starts(alone, base))
-        found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
+            self._fit(_from_starts(alone, base, most))
+        found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base, most))
         self.other_optima += found
         self._record(found)
 
@@ -194,7 +196,29 @@ class Search:
             plain = self._proposal(self.base.estimate, effects)
             start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
             proposals.append(dataclasses.replace(plain, starts=(start,)))
-        return self._fit(_best_starts(proposals))
+        return self._fit(proposals)
+
+    def visit_alone(self, effects: Sequence[LocatedEffect], frames: Sequence[Floats]) -> bool:
+        """Fit each of these effects alone, from given frames; return whether a better fit was found.
+
+        Only the starts that the linearised models at the frames promise most are fitted.
+
+        Parameters
+        ----------
+        effects : sequence of LocatedEffect
+        frames : sequence of ndarray, shape (2N,)
+        """
+        promised: list[tuple[float, FitProposal]] = []
+        for frame in frames:
+            at = self.fitter.at(self.base.estimate, frame)
+            linear = Linearised(at, effects, self.fitter.expectation)
+            _, c = at.fit.at.triangle
+            gains = linear.gains - 0.5 * (at.fit.at.objective - float(c @ c))
+            for gain, placed in zip(gains.tolist(), effects, strict=True):
+                together = self.fitter.proposal(at, (*at.effects, placed), [linear.predicted([placed])])
+                promised.append((gain, together))
+        best = ranking.ranked(promised, lambda each: each[0])[:MOST_STARTS]
+        return self._fit([proposal for _, proposal in best])
 
     def visit_exchanges(self) -> bool:
         """Visit the best set with each of its effects at every other place; return whether a better set was found.
@@ -430,10 +454,10 @@ def promising(
     odds = fitter.log_priors(linear.candidates, model.effects)
     odds[[placed in barred for placed in linear.candidates]] = -np.inf
     gains = linear.gains + odds
-    order = [i for i in ranking.order(gains)[:MOST_FURTHER] if np.isfinite(gains[i])]
     floor = max(float(np.max(gains)), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
+    order = [i for i in ranking.order(gains)[: MOST_FURTHER if far_off else BEAM] if np.isfinite(gains[i])]
     single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
     if model.improbable:
         # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
@@ -483,36 +507,27 @@ def with_companions(fitter: Fitter, best: ModelClass) -> list[tuple[FitProposal,
     return proposals
 
 
-def _from_starts(proposals: Sequence[tuple[FitProposal, LocatedEffect]], base: Estimate) -> list[FitProposal]:
-    """Start each proposal from the frame of the base and from every start of its last effect."""
-    frame = base.experiment.parameters
-    return _best_starts(
-        [
-            dataclasses.replace(
-                proposal,
-                starts=(np.concatenate([base.theta[:frame], proposal.starts[-1][frame : -len(start)], start]),),
-            )
-            for proposal, motion in proposals
-            for start in motion.effect.starts
-        ]
-    )
+def _from_starts(
+    proposals: Sequence[tuple[FitProposal, LocatedEffect]], base: Estimate, most: float
+) -> list[FitProposal]:
+    """Start each proposal from the frame of the base and from every start of its last effect.
 
-
-def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
-    """Keep the proposals with the lowest objective after one step of all parameters in the linearised model.
-
-    Derivatives at zero mass carry no information on an effect that adds a motion, so its starts are compared.
+    Derivatives at zero mass carry no information on an effect that adds a motion, so its starts are compared: those
+    with the lowest objective after one step of all parameters in the linearised model are kept, up to a largest one.
     """
-    left = []
-    for proposal in proposals:
-        try:
-            at = proposal.misfit.evaluate(proposal.starts[0])
-        except errors.NoModesError:
-            left.append(np.inf)
-            continue
-        _, c = at.triangle
-        left.append(at.objective - float(c @ c))
-    return [proposals[i] for i in ranking.order(-np.array(left))[:MOST_STARTS] if np.isfinite(left[i])]
+    frame = base.experiment.parameters
+    left, kept = list[float](), list[FitProposal]()
+    for proposal, motion in proposals:
+        for start in motion.effect.starts:
+            theta = np.concatenate([base.theta[:frame], proposal.starts[-1][frame : -len(start)], start])
+            try:
+                at = proposal.misfit.evaluate(theta)
+            except errors.NoModesError:
+                continue
+            _, c = at.triangle
+            left.append(at.objective - float(c @ c))
+            kept.append(dataclasses.replace(proposal, starts=(theta,)))
+    return [kept[i] for i in ranking.order(-np.array(left))[:MOST_STARTS] if left[i] <= most]
 
 
 def groups(effects: Set) -> list[Set]:
