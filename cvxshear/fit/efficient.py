@@ -40,20 +40,14 @@ class NoiseIteration:
 
     Parameters
     ----------
-    fits : int
-        Largest number of fits, each with a new estimate.
-    steps : int
-        Largest number of Gauss-Newton steps of a fit, except the last.
     longest : float
-        Largest change of the logarithm of a standard deviation after the first fit.
+        Largest change of the logarithm of a standard deviation after the first step.
     shortened : float
-        Factor on that limit after each fit.
+        Factor on that limit after each step.
     same : float
         Largest relative change of a converged standard deviation: the evidence, which is stationary, changes by 0.01.
     """
 
-    fits: int = 8
-    steps: int = 4
     longest: float = 1.5
     shortened: float = 0.75
     same: float = 0.05
@@ -269,7 +263,7 @@ def parameter_names(experiment: Experiment, effects: Sequence[LocatedEffect]) ->
 def fitted(
     misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy = FULL, start: Evaluation | None = None
 ) -> Estimate:
-    """Fit from a starting point by Gauss-Newton, and estimate the undeclared noise with the parameters.
+    """Fit from a starting point by Gauss-Newton, and estimate the undeclared noise after every step.
 
     Parameters
     ----------
@@ -283,31 +277,31 @@ def fitted(
     """
     if not misfit.unknown:
         return fitted_with(misfit, theta, backend, accuracy, start)
-    few = replace(accuracy, most_steps=NOISE_ITERATION.steps)
-    estimate = fitted_with(misfit, theta, backend, few, start)
-    longest, aim = NOISE_ITERATION.longest, dict[str, float]()
-    for _ in range(NOISE_ITERATION.fits):
+    one = replace(accuracy, most_steps=1)
+    estimate = fitted_with(misfit, theta, backend, one, start)
+    longest, aim, left = NOISE_ITERATION.longest, dict[str, float](), accuracy.most_steps - estimate.fit.steps
+    while left > 0:
         noise = _noise_at(estimate)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
         if _same(noise.factors, before):
             if estimate.fit.converged:
                 return replace(estimate, noise=noise.estimate())
-            estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
-            continue
-        changes = [np.log(factor / before[key]) for key, factor in noise.factors]
-        # Steps beyond the range of the linearized model oscillate: each is shorter than the last, until the target
-        # stays.
-        steady = aim and _same(noise.factors, aim)
-        cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
-        longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.factors)
-        factors = tuple(
-            (key, float(before[key] * np.exp(cut * change)))
-            for (key, _), change in zip(noise.factors, changes, strict=True)
-        )
-        misfit = estimate.misfit.replaced(noise=NoiseFactors(factors))
-        estimate = fitted_with(misfit, estimate.theta, backend, few)
-    if not estimate.fit.converged:
-        estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
+            rest = replace(accuracy, most_steps=left)
+            estimate = fitted_with(estimate.misfit, estimate.theta, backend, rest, estimate.fit.at)
+        else:
+            changes = [np.log(factor / before[key]) for key, factor in noise.factors]
+            # Steps beyond the range of the linearized model oscillate: each is shorter than the last, until the target
+            # stays.
+            steady = aim and _same(noise.factors, aim)
+            cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
+            longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.factors)
+            factors = tuple(
+                (key, float(before[key] * np.exp(cut * change)))
+                for (key, _), change in zip(noise.factors, changes, strict=True)
+            )
+            misfit = estimate.misfit.replaced(noise=NoiseFactors(factors))
+            estimate = fitted_with(misfit, estimate.theta, backend, one)
+        left -= estimate.fit.steps
     noise = _noise_at(estimate)
     same = _same(noise.factors, {key: estimate.misfit.noise.of(key) for key, _ in noise.factors})
     return replace(estimate, noise=noise.estimate() if same else noise.unsettled())
