@@ -389,7 +389,6 @@ def mode_derivatives(found: Modes, system: System, which: slice | Ints | list[in
     column = np.arange(len(own))
     dlam = S[:, own, column]
     gap = lam_j[None, :] - lam[:, None]
-    gap[own, column] = 1.0
     # Modes of one eigenvalue have no derivatives along each other.
     share = np.divide(S, gap, out=np.zeros_like(S), where=gap != 0.0)
     share[:, own, column] = -0.5 * by_mass[:, own, column]

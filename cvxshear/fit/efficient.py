@@ -1,6 +1,6 @@
 """The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,26 +34,9 @@ RESIDUAL_LEVEL = 0.01
 OPEN_STD = 0.5
 
 
-@dataclass(frozen=True)
-class NoiseIteration:
-    """Estimation of undeclared standard deviations together with the parameters.
-
-    Parameters
-    ----------
-    longest : float
-        Largest change of the logarithm of a standard deviation after the first step.
-    shortened : float
-        Factor on that limit after each step.
-    same : float
-        Largest relative change of a converged standard deviation: the evidence, which is stationary, changes by 0.01.
-    """
-
-    longest: float = 1.5
-    shortened: float = 0.75
-    same: float = 0.05
-
-
-NOISE_ITERATION = NoiseIteration()
+#: Largest change of the logarithm of a converged standard deviation: the evidence, which is stationary, changes by less
+#: than 0.01.
+SAME_NOISE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,34 +260,20 @@ def fitted(
     """
     if not misfit.unknown:
         return fitted_with(misfit, theta, backend, accuracy, start)
-    one = replace(accuracy, most_steps=1)
+    one, left = replace(accuracy, most_steps=1), accuracy.most_steps
     estimate = fitted_with(misfit, theta, backend, one, start)
-    longest, aim, left = NOISE_ITERATION.longest, dict[str, float](), accuracy.most_steps - estimate.fit.steps
-    while left > 0:
+    while (left := left - estimate.fit.steps) > 0:
         noise = _noise_at(estimate)
-        before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
-        if _same(noise.factors, before):
-            if estimate.fit.converged:
-                return replace(estimate, noise=noise.estimate())
-            rest = replace(accuracy, most_steps=left)
-            estimate = fitted_with(estimate.misfit, estimate.theta, backend, rest, estimate.fit.at)
-        else:
-            changes = [np.log(factor / before[key]) for key, factor in noise.factors]
-            # Steps beyond the range of the linearized model oscillate: each is shorter than the last, until the target
-            # stays.
-            steady = aim and _same(noise.factors, aim)
-            cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
-            longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.factors)
-            factors = tuple(
-                (key, float(before[key] * np.exp(cut * change)))
-                for (key, _), change in zip(noise.factors, changes, strict=True)
-            )
-            misfit = estimate.misfit.replaced(noise=NoiseFactors(factors))
+        if not _settled(estimate, noise):
+            misfit = misfit.replaced(noise=NoiseFactors(noise.factors))
             estimate = fitted_with(misfit, estimate.theta, backend, one)
-        left -= estimate.fit.steps
+        elif estimate.fit.converged:
+            return replace(estimate, noise=noise.estimate())
+        else:
+            rest = replace(accuracy, most_steps=left)
+            estimate = fitted_with(misfit, estimate.theta, backend, rest, estimate.fit.at)
     noise = _noise_at(estimate)
-    same = _same(noise.factors, {key: estimate.misfit.noise.of(key) for key, _ in noise.factors})
-    return replace(estimate, noise=noise.estimate() if same else noise.unsettled())
+    return replace(estimate, noise=noise.estimate() if _settled(estimate, noise) else noise.unsettled())
 
 
 def _noise_at(estimate: Estimate) -> NoiseAtFit:
@@ -312,9 +281,10 @@ def _noise_at(estimate: Estimate) -> NoiseAtFit:
     return NoiseAtFit.of(estimate.misfit, estimate.fit.at, estimate.free_directions)
 
 
-def _same(factors: Iterable[tuple[str, float]], known: Mapping[str, float]) -> bool:
-    """Whether these factors on the unknown standard deviations are the known ones."""
-    return all(abs(np.log(factor / known[key])) < NOISE_ITERATION.same for key, factor in factors)
+def _settled(estimate: Estimate, noise: NoiseAtFit) -> bool:
+    """Whether the most probable noise is the noise of the fit."""
+    known = estimate.misfit.noise
+    return all(abs(np.log(factor / known.of(key))) < SAME_NOISE for key, factor in noise.factors)
 
 
 def fitted_with(
