@@ -25,7 +25,7 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
-#: Number of best visited sets that are expanded.
+#: Number of best visited sets that are expanded, and of further effects that are each fitted when a set is expanded.
 BEAM = 4
 
 #: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
@@ -39,7 +39,7 @@ WITHIN = float(-np.log(REPORTED))
 #: wrong: without this rule, an effect that no datum concerns loses its prior probability.
 TIE = 2.0
 
-#: Largest number of further effects, each fitted alone, when a set is expanded.
+#: Number of further effects where a set is far from the data: only their order is known there.
 MOST_FURTHER = 10
 
 #: Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded.
