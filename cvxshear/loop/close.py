@@ -222,8 +222,6 @@ class Searches:
         found = [search.visit_from(self._duals(search)), self._visit_changes(search)]
         if any(found):
             search.run()
-        while search.visit_exchanges():
-            search.run()
         if not hypotheses.dual_fits_as_well(numbering.experiment):
             return None
         theta = search.base.estimate.theta.copy()

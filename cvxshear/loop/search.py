@@ -26,7 +26,7 @@ from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 #: Number of best visited sets that are expanded, and of further effects that are each fitted when a set is expanded.
-BEAM = 4
+BEAM = 6
 
 #: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
 REPORTED = 1e-3
@@ -219,21 +219,6 @@ class Search:
                 promised.append((gain, together))
         best = ranking.ranked(promised, lambda each: each[0])[:MOST_STARTS]
         return self._fit([proposal for _, proposal in best])
-
-    def visit_exchanges(self) -> bool:
-        """Visit the best set with each of its effects at every other place; return whether a better set was found.
-
-        Far from the frame of the linearisation, the linearised model does not locate a change.
-        """
-        best = self.best
-        sets = [
-            (best.effects - {placed}) | {other}
-            for placed in best.effects
-            for other in self.candidates(best)
-            if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
-        ]
-        self._fit([self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)])
-        return self.best is not best
 
     def _proposal(self, start: Estimate, effects: Set) -> FitProposal:
         """Propose a fit of a set, started from a fit."""
