@@ -11,7 +11,7 @@ from cvxshear import Experiment, close_loop, identify
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
 from cvxshear.data import base as registry_module
 from cvxshear.data.base import largest, numbered
-from cvxshear.data.kinds import scaled
+from cvxshear.data.kinds import mac, scaled
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.configuration import Configuration
@@ -149,6 +149,10 @@ def test_errors_of_shapes_are_those_of_the_textbook():
         assert found["mac"][row] == pytest.approx((a @ b) ** 2 / (a @ a) / (b @ b), rel=1e-12)
         share = (a @ b) / (b @ b)
         assert found["shape_error"][row] == pytest.approx(np.max(np.abs(share * b - a)), rel=1e-9)
+
+
+def test_the_criterion_of_complex_shapes_is_that_of_the_definition():
+    assert mac(np.array([1.0, 1.0j]), np.array([1.0, 1.0])) == pytest.approx(2.0 / (2.0 * 2.0))
 
 
 def test_displacements_are_those_of_equilibrium():
