@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -149,8 +150,7 @@ class AxialColumns(_Flexible):
     def pattern(self, heights: Floats) -> Floats:
         z = np.cumsum(heights)
         moment = np.maximum(z[:, None] - (z - 0.5 * heights), 0.0)
-        D: Floats = (moment * heights) @ moment.T
-        return D
+        return np.asarray((moment * heights) @ moment.T)
 
 
 class BaseRocking(_Flexible):
@@ -281,11 +281,8 @@ class GroundSpring(_Tie):
     lowest_floor = 2
 
     def places(self, experiment: Experiment) -> list[Place]:
-        return [
-            Place(floor=floor, state=state)
-            for state in _in_all_or_since(experiment)
-            for floor in range(self.lowest_floor, experiment.stories + 1)
-        ]
+        floors = super().places(experiment)
+        return [replace(at, state=state) for state in _in_all_or_since(experiment) for at in floors]
 
 
 class Spring(_Tie):
@@ -309,13 +306,8 @@ class Spring(_Tie):
     usual = 0.2
 
     def places(self, experiment: Experiment) -> list[Place]:
-        n = experiment.stories
-        return [
-            Place(floor=low, to=high, state=state)
-            for state in _in_all_or_since(experiment)
-            for low in range(1, n + 1)
-            for high in range(low + 2, n + 1)
-        ]
+        ties = [Place(low, to=high) for low, high in separate_levels(experiment.stories) if low]
+        return [replace(at, state=state) for state in _in_all_or_since(experiment) for at in ties]
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if 2 < experiment.stories <= MOST_JOINED else f"three to {MOST_JOINED} stories"
@@ -326,10 +318,14 @@ def _in_all_or_since(experiment: Experiment) -> list[str | None]:
     return [None] if experiment.frame.reference is None else [None, *shown_states(experiment)]
 
 
+def separate_levels(stories: int) -> list[tuple[int, int]]:
+    """List the pairs of levels that no story joins, the lower first, 0 the ground."""
+    return [(low, high) for low in range(stories + 1) for high in range(low + 2, stories + 1)]
+
+
 def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:
     """Return d d' of a spring of unit stiffness between each pair of floors, 0 the ground, shape (p, N, N)."""
     ends = np.eye(stories + 1)[:, 1:]
     low, high = np.array(pairs).T
     d = ends[high] - ends[low]
-    units: Floats = d[:, :, None] * d[:, None, :]
-    return units
+    return np.asarray(d[:, :, None] * d[:, None, :])

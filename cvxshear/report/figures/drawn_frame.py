@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 
 from cvxshear.effects import LocatedEffect
-from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
+from cvxshear.effects.open_class import STANDS_OUT, named_pair
 from cvxshear.effects.stories import SIDES
+from cvxshear.effects.whole_frame import separate_levels
 from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.fit.turning_floors import TurningFrame
 from cvxshear.loop import LoopResult
@@ -162,7 +163,7 @@ def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]
 
 def _joined(item: AddedEffect, experiment: Experiment) -> tuple[tuple[int, int], ...]:
     """Find the pairs of levels that an effect joins by springs above `STANDS_OUT` standard deviations."""
-    known = {named_pair(i, j): (i, j) for i, j in pairs(experiment.stories, ground=True)}
+    known = {named_pair(i, j): (i, j) for i, j in separate_levels(experiment.stories)}
     if not set(item.parameters) <= set(known) or set(item.placed.units(experiment)) != {"N/m"}:
         return ()
     sure = (name for name, value in item.parameters.items() if abs(value) > STANDS_OUT * (item.std[name] or np.inf))
