@@ -180,12 +180,9 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     """Compute the scaling x = inverse @ z and the objective |C z - q|^2."""
     lengths = np.linalg.norm(R, axis=0)
     D = 1.0 / np.where(lengths > 0, lengths, 1.0)
-    scaled_A = A * D
-    a_lengths = np.linalg.norm(scaled_A, axis=1)
-    sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
     n = R.shape[1]
     # With the right side as a further column, the last column of the triangle is Q' [s; sigma b].
-    side, more = s[:, None], np.column_stack([sigma[:, None] * scaled_A, sigma * b])
+    side, more = s[:, None], np.column_stack(_unit_rows(A * D, b)[:2])
     if len(R) == n and linalg.bandwidth(R)[0] == 0:
         # The rows are already a triangle; a few equalities are rotated into the triangle.
         triangle = np.zeros((n + 1, n + 1), order="F")
@@ -219,9 +216,7 @@ def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _consistent_rows(A: Floats, b: Floats) -> Bools:
     """Select equalities that imply all others; raise an error if equalities contradict each other."""
-    scale = np.linalg.norm(A, axis=1)
-    rows = A / np.where(scale > 0, scale, 1.0)[:, None]
-    side = b / np.where(scale > 0, scale, 1.0)
+    rows, side, _ = _unit_rows(A.astype(float), b)
     keep = independent_rows(rows)
     if np.all(keep):
         return keep

@@ -123,9 +123,8 @@ class Experiment(Shown):
     def _check_states(self) -> None:
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
-        if self.frame.reference is not None and self.frame.reference not in states:
-            known = ", ".join(f'"{state}"' for state in states)
-            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {known}")
+        if self.frame.reference is not None:
+            checks.choice(self.frame.reference, states, "frame: reference")
         for each in self.expected:
             each.check(self.stories, states)
 

@@ -262,6 +262,14 @@ def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> 
     put(prior, name, checks.whole, least=1, most=stories)
 
 
+def check_length(prior: Prior, name: str, stories: int, remedy: str) -> None:
+    """Raise `InputError` unless a list in the field has an entry for each floor or story."""
+    value = getattr(prior, name)
+    if isinstance(value, np.ndarray) and len(value) != stories:
+        count = checks.entries(len(value))
+        raise InputError(f"{name} of the {prior.kind} prior has {count}, the frame has {stories} stories; {remedy}")
+
+
 def listed(value: float | Floats, quantity: str) -> str:
     """Write a number or a list of numbers on one line, in the unit of the quantity that fits their size."""
     values = np.ravel(np.asarray(value, dtype=float))

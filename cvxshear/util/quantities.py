@@ -242,10 +242,7 @@ def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
 def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
     """Choose a factor and a prefixed unit in which the values are easy to read."""
     largest = max((abs(value) for value in values if not math.isnan(value)), default=1.0)
-    for factor, prefix in PREFIXES:
-        if largest >= 10 * factor or factor == 1.0:
-            return factor, f"{prefix}{unit}"
-    return 1.0, unit
+    return next((size, f"{prefix}{unit}") for size, prefix in PREFIXES if largest >= 10 * size or not prefix)
 
 
 def counted(number: int, noun: str) -> str:
