@@ -117,7 +117,7 @@ def minimizer(program: Assembled, near: Point, most_sets: int = 10) -> Minimizer
     """
     if not len(program.h):
         return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))[0]
-    active = _guessed(program, near)
+    active = program.held(near)
     for _ in range(most_sets):
         found, local = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
@@ -169,12 +169,6 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
             errors = errors + np.abs(motion) * (t / curvature if curvature > 0 else np.inf)
             variances = variances + motion**2 * (local.deviation**2 / curvature if curvature > 0 else 0.0)
     return Minimizer(found.point, errors / lengths, np.sqrt(variances) / lengths)
-
-
-def _guessed(program: Assembled, near: Point) -> Bools:
-    """Guess the active inequalities: the multiplier is greater than the slack, both made free of units."""
-    lengths = program.inequality_lengths
-    return np.asarray(near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths)
 
 
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:

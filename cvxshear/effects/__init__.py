@@ -155,9 +155,7 @@ def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
         if not item.lower <= item.start <= item.upper:
             raise InputError(f"{item.name}: start = {item.start:g} is not between {item.lower:g} and {item.upper:g}")
         if np.isinf(size) and np.isinf(item.upper - item.lower):
-            raise InputError(
-                f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or two bounds"
-            )
+            raise InputError(f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or bounds")
     nulls, lower, upper = (np.array([getattr(item, key) for item in items]) for key in ("null", "lower", "upper"))
     uniform = np.isinf(sizes)
     with np.errstate(invalid="ignore"):

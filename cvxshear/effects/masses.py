@@ -172,9 +172,7 @@ class MassCoupling(Effect):
     """
 
     name = "mass_coupling"
-    summary = (
-        "The columns' own mass moves with both floors they join, which couples neighbouring floors through the mass."
-    )
+    summary = "The columns' own mass moves with both floors they join, and so couples neighbouring floors."
     formula = "M + mu sum over stories of [[13/35 - 1/2, 9/70], [9/70, 13/35 - 1/2]]"
     source = "consistent mass matrix of a Bernoulli beam in sway, Archer 1963"
     stage = "inertia"

@@ -32,13 +32,9 @@ class Gravity(Effect):
     """
 
     name = "gravity"
-    summary = (
-        "The weight above each story pulls the leaning frame further over and so reduces its sway stiffness (P-delta)."
-    )
+    summary = "The weight above each story pulls the leaning frame over and so reduces its sway stiffness (P-delta)."
     formula = "K - gamma T diag(P_i / h_i) T',  P_i = g (mass at and above floor i)"
-    source = (
-        "Clough and Penzien, Dynamics of Structures, geometric stiffness: linear (1) and consistent cubic (6/5) shape"
-    )
+    source = "Clough and Penzien, Dynamics of Structures: geometric stiffness, linear (1) and consistent cubic (6/5)"
     stage = "gravity"
     floors_move = ("one", "three")
     parameters = (Parameter("gamma", "", lower=1.0, upper=1.2, null=0.0, start=1.1),)
@@ -137,9 +133,7 @@ class AxialColumns(_Flexible):
     """
 
     name = "axial_columns"
-    summary = (
-        "The columns stretch on one side and shorten on the other, so that the whole frame bends like a cantilever."
-    )
+    summary = "The columns stretch on one side and shorten on the other: the whole frame bends like a cantilever."
     formula = "flexibility + sum over stories s of M_is M_js h_s / EI,  M_is = max(z_i - mid-height of story s, 0)"
     source = "principle of virtual forces, columns with their inflection at mid-height"
     parameters = (Parameter("inverse_EI", "1/(N m2)", lower=0.0, unit_in_stories="m/N"),)
@@ -164,9 +158,7 @@ class BaseRocking(_Flexible):
     """
 
     name = "base_rocking"
-    summary = (
-        "The base turns under the overturning moment, so that the whole frame rocks as a rigid body on top of its sway."
-    )
+    summary = "The base turns under the overturning moment: the frame rocks as a rigid body on top of its sway."
     formula = "flexibility + z z' / k_theta"
     source = "rigid-body rotation about the base against a rotational spring"
     parameters = (Parameter("inverse_k_theta", "rad/(N m)", lower=0.0, unit_in_stories="m/N"),)
@@ -269,9 +261,7 @@ class GroundSpring(_Tie):
     """
 
     name = "ground_spring"
-    summary = (
-        "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
-    )
+    summary = "Something beside the frame holds one floor: a brace to the ground, a neighbour, a cable, a shaker's rod."
     formula = "K + s e_j e_j'"
     source = "linear spring from floor j to the ground"
     probability = 0.05
@@ -296,9 +286,7 @@ class Spring(_Tie):
     """
 
     name = "spring"
-    summary = (
-        "Something ties two floors that are not neighbors: a brace over several stories, a stair, a cable, a core."
-    )
+    summary = "Something ties two floors that are no neighbors: a brace over several stories, a stair, a cable, a core."
     formula = "K + s d d',  d = e_to - e_floor"
     source = "linear spring between two floors"
     sits_at = ("floor", "to")

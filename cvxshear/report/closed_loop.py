@@ -356,9 +356,7 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
     if any(item.rivals for item in result.effects):
         return f"No added mass up to that of a floor would distinguish the rivals.{_reference(result)} {verdict.advice}"
     if headline.in_doubt(result):
-        return (
-            "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
-        )
+        return "Sensors at more floors: the changes of sign of a shape known at every floor show which mode it is."
     return verdict.advice
 
 
