@@ -137,9 +137,7 @@ class Canonical:
 
     def point(self, answer: Answer) -> Point:
         """Convert an answer to the caller's units."""
-        matrices = tuple(
-            self._tau**2 * scale * dual for scale, dual in zip(self._matrix_scale, answer.matrices, strict=False)
-        )
+        matrices = tuple(map(np.multiply, self._tau**2 * self._matrix_scale, answer.matrices))
         return Point(self.to_x(answer.z), *self.multipliers(answer.y, answer.w), matrices)
 
     def reach(self, distance: float) -> Floats:

@@ -156,8 +156,9 @@ class OtherCenters(OpenClass):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         n = len(state.heights)
-        own_part = [slice(first, first + n) for first in range(0, 5 * n, n)]
-        parts = [(values[part], slice(own.start + part.start, own.start + part.stop)) for part in own_part]
+        parts = [
+            (part, slice(own.start + n * at, own.start + n * at + n)) for at, part in enumerate(np.split(values, 5))
+        ]
         for axis, (moved, rows) in zip(MOVED, parts[:2], strict=True):
             state = with_moved_masses(state, axis, moved, np.eye(n), rows)
         state = with_turned_axes(state, parts[-1][0], np.eye(n), parts[-1][1])

@@ -218,15 +218,13 @@ class Experiment(Shown):
             name_of_test = f"static test {place}"
             where = declaration.named_in(item, "static test", name_of_test)
             static.append(StaticTest.of_table(item, where, "force", "displacement", name=name_of_test))
-        expected = [
-            ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")
-        ]
+        effects = [ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")]
         said = {key: value for key, value in table.items() if value is not None}
         damping = Damping(**checks.keys(said.get("damping", {}), ["kind"], [], "damping"))
         report = declaration.Heading.from_dict(said.get("report", {}))
         limits = Limits.of_table(said["limits"], "limits", "story_drift") if "limits" in said else None
         return Experiment(
-            frame, configurations, tuple(priors), name, tuple(static), tuple(expected), damping, report, limits
+            frame, configurations, tuple(priors), name, tuple(static), tuple(effects), damping, report, limits
         )
 
     def to_dict(self) -> Json:

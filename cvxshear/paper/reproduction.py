@@ -30,9 +30,7 @@ PerStructure = Mapping[str, Any]
 
 
 #: Tables of figures; the file says what each holds, and in which unit.
-PRINTED: dict[str, Any] = tomllib.loads(
-    resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8")
-)
+PRINTED: dict[str, Any] = tomllib.loads((resources.files("cvxshear.paper") / "printed.toml").read_text("utf-8"))
 
 #: Method, case and entry of Table 1 that differs from the formula's value.
 MISPRINT = ("berman", "1", "23")

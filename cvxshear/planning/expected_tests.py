@@ -51,10 +51,8 @@ class Declared:
             for each in tests
             if np.all(np.any(each.measured, axis=1))
         ]
-        entries = np.concatenate([*shapes, np.zeros(0)])
-        return Declared(
-            float(np.median(frequency)), float(np.median(entries)) if len(entries) else DEFAULT_MODE_SHAPE_STD
-        )
+        shape = float(np.median(np.concatenate(shapes))) if shapes else DEFAULT_MODE_SHAPE_STD
+        return Declared(float(np.median(frequency)), shape)
 
     @property
     def words(self) -> str:

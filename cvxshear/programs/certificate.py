@@ -269,9 +269,7 @@ class Assembled:
 
     def distance(self, x: Floats, other: Floats) -> float:
         """Compute the distance R (x - other) of two points, relative to the sizes of R other and s."""
-        return largest_relative(
-            np.array(length(self.R @ (x - other))), np.array(length(self.R @ other) + self.side_length)
-        )
+        return largest_relative(np.array(length(self.R @ (x - other))), length(self.R @ other) + self.side_length)
 
 
 def certify(program: Assembled, point: Point) -> Certificate:

@@ -220,12 +220,11 @@ class CompleteTest:
         at : ndarray, shape (N,), optional
             Floor masses for the linearization of soft priors. Without these masses, the program has no soft priors.
         """
-        plain = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
-        program = plain
+        program = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
         if at is not None:
             # A row is off by about a floor's mass times the error of a shape.
             row_std = self.shape_std * self.total / self.experiment.stories
-            program = constraints.softened(plain, self.experiment.priors, "floor_mass", at, row_std, step=False)
+            program = constraints.softened(program, self.experiment.priors, "floor_mass", at, row_std, step=False)
         return constraints.constrained(program, self.of_masses, np.zeros(len(self.shapes))).replace(
             title=self._title("one-shot masses")
         )
@@ -239,12 +238,11 @@ class CompleteTest:
         at : ndarray, shape (N,), optional
             Story stiffnesses for the linearization of soft priors.
         """
-        plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
-        program = plain
+        program = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
         if at is not None:
             # A row is off by about the largest eigenvalue times the error of a shape.
             row_std = self.shape_std * float(self.eigenvalues.max())
-            program = constraints.softened(plain, self.experiment.priors, "story_stiffness", at, row_std, step=False)
+            program = constraints.softened(program, self.experiment.priors, "story_stiffness", at, row_std, step=False)
         return constraints.constrained(program, self.of_stiffnesses, np.zeros(len(self.shapes))).replace(
             title=self._title("story stiffnesses")
         )

@@ -422,9 +422,7 @@ def _csv(result: Moved) -> bytes:
     record = result.recording if isinstance(result, Reconstruction) else result.motion
     units = SERIES_UNITS | {"excitation": "N" if record.input == "force" else "m/s2"}
     heads = [f"{name} ({unit})" if (unit := units.get(re.sub(r"_std|_\d+", "", name))) else name for name in columns]
-    np.savetxt(
-        out, np.column_stack(list(columns.values())), delimiter=",", header=",".join(heads), comments="", fmt="%.9g"
-    )
+    np.savetxt(out, np.array([*columns.values()]).T, delimiter=",", header=",".join(heads), comments="", fmt="%.9g")
     return out.getvalue().encode()
 
 

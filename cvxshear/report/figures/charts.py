@@ -153,6 +153,5 @@ def _panels(study: NoiseStudy, label: str) -> tuple[Figure, list[Axes], list[flo
 
 def _filling(place: int) -> dict[str, Any]:
     """Choose colour and hatch of the boxes of a method."""
-    return {
-        "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
-    }  # fmt: skip
+    colour, hatch = (each[place % len(each)] for each in (style.COLOURS, style.HATCHES))
+    return {"facecolor": colour, "hatch": hatch}

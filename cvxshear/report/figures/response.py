@@ -143,9 +143,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
         )  # fmt: skip
         if name == "floor_acceleration" and measured:
             top = np.max([np.max(np.abs(each), axis=0) for each in measured], axis=0)
-            axes.plot(
-                top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured"
-            )
+            axes.plot(top, result.motion.floors, "o", color=style.MEASURED, mfc="white", label="measured")
         axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
