@@ -5,6 +5,8 @@ import pytest
 
 import cvxshear
 from cvxshear import programs
+from cvxshear.motions import THREE_MOTIONS, products
+from cvxshear.programs.turning import TurningTest
 from tests.fe.plan_frames import random_frame
 
 
@@ -40,6 +42,24 @@ def test_added_masses_at_their_places_are_known():
     masses = programs.one_shot_masses(declared).solve("kkt").x
     assert_close(masses, expected_masses(frame), 4, 1e-8)
     assert_close(programs.story_stiffnesses(declared, masses).solve("kkt").x, expected_stiffnesses(frame), 6, 1e-8)
+
+
+def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
+    """Every reading is moved by its deviation; the rows are bilinear, so that central differences are exact."""
+    experiment = random_frame(2, 4).experiment(noise=0.01, seed=4, std=0.01)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    rows = test.stiffness_rows(test.even_masses)
+    modes, expected = test.normalized(test.even_masses), np.zeros((12, 12))
+
+    def moved(step):
+        drifts = THREE_MOTIONS.relative(modes + step)
+        return rows.weights[:, None] * products(drifts, drifts, THREE_MOTIONS.stiffness_basis)[rows.pairs]
+
+    for mode, reading in np.ndindex(rows.std.shape):
+        step = np.outer(rows.std[mode, reading] * test.inverse[:, reading], np.arange(len(modes)) == mode)
+        change = 0.5 * (moved(step) - moved(-step))
+        expected += change.T @ change
+    np.testing.assert_allclose(rows.noise, expected, atol=1e-9 * np.max(expected))
 
 
 def violated(seed=3, noise=0.002):
