@@ -62,6 +62,15 @@ def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
     np.testing.assert_allclose(rows.noise, expected, atol=1e-9 * np.max(expected))
 
 
+def test_what_no_sensor_sees_does_not_move():
+    """Oblique sensors at the reference points see no rotation; a pseudoinverse alone would round its zeros."""
+    sensors = [{"floor": at, "position": [0.0, 0.0], "direction": angle} for at in (1, 2, 3) for angle in (20.0, 75.0)]
+    experiment = random_frame(3, 1).experiment(sensors=sensors)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    assert test.unseen == ("rotation",)
+    assert not np.any(test.shapes[2::3])
+
+
 def violated(seed=3, noise=0.002):
     """Return a program whose noise makes an inertia too small, so that its matrix inequality becomes active."""
     frame = random_frame(3, seed)
