@@ -181,16 +181,8 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     n = R.shape[1]
     # With the right side as a further column, the last column of the triangle is Q' [s; sigma b].
     side, more = s[:, None], np.column_stack(_unit_rows(A * D, b)[:2])
-    if len(R) == n and linalg.bandwidth(R)[0] == 0:
-        # The rows are already a triangle; a few equalities are rotated into the triangle.
-        triangle = np.zeros((n + 1, n + 1), order="F")
-        triangle[:n] = np.hstack([R * D, side])
-        if len(A):
-            triangle = lapack.dtpqrt(0, min(LAPACK_BLOCK, n + 1), triangle, more)[0]
-    else:
-        # LAPACK's triangular solvers ignore the reflections below the diagonal.
-        triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0]
-    triangle = triangle[:n]
+    # LAPACK's triangular solvers ignore the reflections below the diagonal.
+    triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0][:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
     if len(U) == n and float(lapack.dtrcon(U)[0]) > RANK_TOLERANCE:

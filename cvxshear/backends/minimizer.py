@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import LAPACK_BLOCK, RANK_TOLERANCE, independent_rows
@@ -260,11 +259,7 @@ class _Factor:
             self._pivots = pivots - 1
         else:
             self._order, self._pivots = np.arange(r), np.arange(self._k)
-            if r == self._k and linalg.bandwidth(rows)[0] == 0:
-                # The rows are already a triangle and need no reflections.
-                self._reflectors, self._tau = rows, np.zeros(r)
-            else:
-                self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=LAPACK_BLOCK * self._k)
         self._triangle = self._reflectors[: self._k]
         # In graded rows a small pivot may come from a light row. The error bound reveals a pivot that is only rounding.
         least = 0.0 if graded else RANK_TOLERANCE
