@@ -316,7 +316,7 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (40, 3)])
+@pytest.mark.parametrize(("n", "constraints"), [(1, 0), (5, 0), (5, 1), (5, 2), (40, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly."""
     rng = np.random.default_rng(n + constraints)
