@@ -156,9 +156,7 @@ class OtherCenters(OpenClass):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         n = len(state.heights)
-        parts = [
-            (part, slice(own.start + n * at, own.start + n * at + n)) for at, part in enumerate(np.split(values, 5))
-        ]
+        parts = [(part, slice(own.start + n * i, own.start + n * i + n)) for i, part in enumerate(np.split(values, 5))]
         for axis, (moved, rows) in zip(MOVED, parts[:2], strict=True):
             state = with_moved_masses(state, axis, moved, np.eye(n), rows)
         state = with_turned_axes(state, parts[-1][0], np.eye(n), parts[-1][1])
