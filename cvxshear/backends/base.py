@@ -367,8 +367,6 @@ class Backend(ABC):
         Answer
             Its multipliers are zero for inequalities outside the working set.
         """
-        if not len(problem.F):
-            return self._checked(problem)
         if problem.singular:
             return self._with_all(problem)
         within = problem.violated(problem.nearest()[0])

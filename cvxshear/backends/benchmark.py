@@ -167,15 +167,11 @@ def compare(
     kinds, rows = [], []
     for kind in dict.fromkeys(each.kind for each in programs):
         of_kind = [each for each in programs if each.kind == kind]
-        kinds.append(_described(kind, of_kind))
+        stated = [each.program for each in of_kind]
+        sizes = [(p.unknowns, len(p.R), len(p.equalities[1]), len(p.inequalities[1])) for p in stated]
+        kinds.append(ProgramKind(kind, len(stated), *map(max, zip(*sizes, strict=True))))
         rows += _compared(kind, of_kind, chosen, repeats)
     return Comparison(experiment, tuple(kinds), tuple(rows), left_out)
-
-
-def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
-    all_of_kind = [each.program for each in programs]
-    sizes = [(p.unknowns, len(p.R), len(p.equalities[1]), len(p.inequalities[1])) for p in all_of_kind]
-    return ProgramKind(kind, len(programs), *map(max, zip(*sizes, strict=True)))
 
 
 def _compared(

@@ -137,9 +137,7 @@ class Canonical:
 
     def point(self, answer: Answer) -> Point:
         """Convert an answer to the caller's units."""
-        matrices = tuple(
-            self._tau**2 * scale * dual for scale, dual in zip(self._matrix_scale, answer.matrices, strict=False)
-        )
+        matrices = tuple(map(np.multiply, self._tau**2 * self._matrix_scale, answer.matrices))
         return Point(self.to_x(answer.z), *self.multipliers(answer.y, answer.w), matrices)
 
     def reach(self, distance: float) -> Floats:
@@ -180,22 +178,11 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     """Compute the scaling x = inverse @ z and the objective |C z - q|^2."""
     lengths = np.linalg.norm(R, axis=0)
     D = 1.0 / np.where(lengths > 0, lengths, 1.0)
-    scaled_A = A * D
-    a_lengths = np.linalg.norm(scaled_A, axis=1)
-    sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
     n = R.shape[1]
     # With the right side as a further column, the last column of the triangle is Q' [s; sigma b].
-    side, more = s[:, None], np.column_stack([sigma[:, None] * scaled_A, sigma * b])
-    if len(R) == n and linalg.bandwidth(R)[0] == 0:
-        # The rows are already a triangle; a few equalities are rotated into the triangle.
-        triangle = np.zeros((n + 1, n + 1), order="F")
-        triangle[:n] = np.hstack([R * D, side])
-        if len(A):
-            triangle = lapack.dtpqrt(0, min(LAPACK_BLOCK, n + 1), triangle, more)[0]
-    else:
-        # LAPACK's triangular solvers ignore the reflections below the diagonal.
-        triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0]
-    triangle = triangle[:n]
+    side, more = s[:, None], np.column_stack(_unit_rows(A * D, b)[:2])
+    # LAPACK's triangular solvers ignore the reflections below the diagonal.
+    triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0][:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
     if len(U) == n and float(lapack.dtrcon(U)[0]) > RANK_TOLERANCE:
@@ -219,9 +206,7 @@ def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _consistent_rows(A: Floats, b: Floats) -> Bools:
     """Select equalities that imply all others; raise an error if equalities contradict each other."""
-    scale = np.linalg.norm(A, axis=1)
-    rows = A / np.where(scale > 0, scale, 1.0)[:, None]
-    side = b / np.where(scale > 0, scale, 1.0)
+    rows, side, _ = _unit_rows(A.astype(float), b)
     keep = independent_rows(rows)
     if np.all(keep):
         return keep

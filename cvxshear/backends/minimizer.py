@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import LAPACK_BLOCK, RANK_TOLERANCE, independent_rows
@@ -117,7 +116,7 @@ def minimizer(program: Assembled, near: Point, most_sets: int = 10) -> Minimizer
     """
     if not len(program.h):
         return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))[0]
-    active = _guessed(program, near)
+    active = program.held(near)
     for _ in range(most_sets):
         found, local = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
@@ -169,12 +168,6 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
             errors = errors + np.abs(motion) * (t / curvature if curvature > 0 else np.inf)
             variances = variances + motion**2 * (local.deviation**2 / curvature if curvature > 0 else 0.0)
     return Minimizer(found.point, errors / lengths, np.sqrt(variances) / lengths)
-
-
-def _guessed(program: Assembled, near: Point) -> Bools:
-    """Guess the active inequalities: the multiplier is greater than the slack, both made free of units."""
-    lengths = program.inequality_lengths
-    return np.asarray(near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths)
 
 
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
@@ -266,11 +259,7 @@ class _Factor:
             self._pivots = pivots - 1
         else:
             self._order, self._pivots = np.arange(r), np.arange(self._k)
-            if r == self._k and linalg.bandwidth(rows)[0] == 0:
-                # The rows are already a triangle and need no reflections.
-                self._reflectors, self._tau = rows, np.zeros(r)
-            else:
-                self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=LAPACK_BLOCK * self._k)
         self._triangle = self._reflectors[: self._k]
         # In graded rows a small pivot may come from a light row. The error bound reveals a pivot that is only rounding.
         least = 0.0 if graded else RANK_TOLERANCE

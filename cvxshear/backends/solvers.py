@@ -16,7 +16,7 @@ import sys
 import time
 import tomllib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module, metadata, resources, util
@@ -345,24 +345,23 @@ class Auto(Backend):
             if not len(problem.F):
                 raise
             why = "the closed form fails"
-        failure: NoSolutionError | None = None
-        for backend in self._singular if problem.singular else self._definite:
+        general = self._singular if problem.singular else self._definite
+        return self._first(general, lambda each: each.certified(program, problem, bounded=bounded), why)
+
+    def conic(self, program: Assembled, problem: Canonical) -> Solution:
+        able = [_installed()[name] for name in CONIC if name in _installed()]
+        return self._first(able, lambda each: each.conic(program, problem), "a matrix inequality is active")
+
+    def _first(self, backends: Sequence[Backend], ask: Callable[[Backend], Solution], why: str) -> Solution:
+        """Return the solution of the first backend that succeeds; if all fail, raise the first one's error."""
+        failure = None
+        for backend in backends:
             try:
-                return self._chosen(backend.certified(program, problem, bounded=bounded), why)
+                return self._chosen(ask(backend), why)
             except NoSolutionError as error:
                 failure = failure or error
                 why = f"{why}, and {backend.name} fails"
-        raise failure if failure is not None else NoSolutionError(self.name, "there is no general solver")
-
-    def conic(self, program: Assembled, problem: Canonical) -> Solution:
-        failure: NoSolutionError | None = None
-        for name in CONIC:
-            if name in _installed():
-                try:
-                    return self._chosen(_installed()[name].conic(program, problem), "a matrix inequality is active")
-                except NoSolutionError as error:
-                    failure = failure or error
-        raise failure if failure is not None else NoSolutionError(self.name, f"none of {', '.join(CONIC)} is installed")
+        raise failure or NoSolutionError(self.name, "there is no general solver")
 
     def _chosen(self, found: Solution, why: str) -> Solution:
         """Say which backend was chosen and why."""

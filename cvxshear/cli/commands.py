@@ -150,6 +150,8 @@ class Motion:
         Effects in the model from the start.
     detrend
         Take the straight line through each recorded acceleration off.
+    series
+        Write the time series here: .csv, .mat or .npz.
     """
 
     file: options.File

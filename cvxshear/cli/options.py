@@ -172,9 +172,7 @@ JsonOut = Annotated[
     str | None,
     writes("--json", what="Write the result as JSON to this file, '-' for standard output.", endings=(".json",)),
 ]
-ReportOut = Annotated[
-    str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
-]
+ReportOut = Annotated[str | None, writes("--report", metavar="OUT.html", endings=(".html", ".htm"))]
 TomlOut = Annotated[str | None, writes("--output", "-o", metavar="TOML", endings=(".toml",))]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
@@ -194,29 +192,28 @@ def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: l
     return asked
 
 
-FiguresOut = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--figure",
-        help="Draw a figure into this file, .svg, .png or .pdf; which one by its kind, such as mac:OUT.svg. "
-        "'list' prints the kinds.",
-        metavar="[KIND:]OUT",
-        callback=_among_figures,
-    ),
-]
-CsvOut = Annotated[str | None, writes("--csv", what="Write the result's main table here.", endings=(".csv",))]
-XlsxOut = Annotated[
-    str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
-]
-SeriesOut = Annotated[
-    str | None,
-    writes("--out", what="Write the time series here: .csv, .mat or .npz.", endings=(".csv", ".mat", ".npz")),
-]
+FiguresOut = Annotated[list[str] | None, typer.Option("--figure", metavar="[KIND:]OUT", callback=_among_figures)]
+CsvOut = Annotated[str | None, writes("--csv", endings=(".csv",))]
+XlsxOut = Annotated[str | None, writes("--xlsx", endings=(".xlsx",))]
+SeriesOut = Annotated[str | None, writes("--out", endings=(".csv", ".mat", ".npz"))]
 
 
 @dataclass(frozen=True)
 class ResultOptions:
-    """Options of commands that write the tables of their result, draw its figures and report it."""
+    """Options of commands that write the tables of their result, draw its figures and report it.
+
+    Parameters
+    ----------
+    csv
+        Write the result's main table here.
+    xlsx
+        Write the result's tables as a workbook here.
+    figure
+        Draw a figure into this file, .svg, .png or .pdf; which one by its kind, such as mac:OUT.svg. 'list' prints the
+        kinds.
+    report
+        Write a report, one HTML file.
+    """
 
     quiet: Quiet = False
     out: JsonOut = None

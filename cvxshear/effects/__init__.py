@@ -8,19 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvxshear.effects import masses
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters, TurnedAxes
 from cvxshear.effects.composition import compose
-from cvxshear.effects.masses import (
-    AddedMass,
-    AttachedMass,
-    FloorMass,
-    LoadMounting,
-    LoadScale,
-    MassCoupling,
-    StateMass,
-    TotalMass,
-)  # fmt: skip
+from cvxshear.effects.masses import AddedMass, AttachedMass, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.open_class import OPEN_CLASSES
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.state import STAGES, Scale, State, heights_of
@@ -43,9 +35,9 @@ _catalogue: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         Gravity(), JointRotation(), AxialColumns(), BaseRocking(), Wall(), GroundSpring(), AddedMass(), MassCoupling(),
-        SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(), FloorMass(),
-        JointRelease(), SoftFeet(), Bracing(), AttachedMass(), LoadMounting(), ShapeScale(), ForceScale(),
-        WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(), TurnedAxes(),
+        SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(),
+        masses.FloorMass(), JointRelease(), SoftFeet(), Bracing(), AttachedMass(), masses.LoadMounting(), ShapeScale(),
+        ForceScale(), WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(), TurnedAxes(),
     )
 }  # fmt: skip
 
@@ -163,9 +155,7 @@ def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
         if not item.lower <= item.start <= item.upper:
             raise InputError(f"{item.name}: start = {item.start:g} is not between {item.lower:g} and {item.upper:g}")
         if np.isinf(size) and np.isinf(item.upper - item.lower):
-            raise InputError(
-                f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or two bounds"
-            )
+            raise InputError(f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or bounds")
     nulls, lower, upper = (np.array([getattr(item, key) for item in items]) for key in ("null", "lower", "upper"))
     uniform = np.isinf(sizes)
     with np.errstate(invalid="ignore"):

@@ -5,6 +5,7 @@ the motion of the reference point into that of the center. A story whose center 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -25,7 +26,21 @@ MOVED = {
 }
 
 
-class _Eccentric(Effect):
+class _Asymmetric(Effect):
+    """A lack of symmetry of all floors or stories together, or of one of them."""
+
+    stage = "center"
+    floors_move = ("three",)
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        return [Place(), *super().places(experiment)]
+
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        """Return as much for all floors or stories together as for each of them alone."""
+        return float(experiment.stories) if place.floor is place.story is None else 1.0
+
+
+class _Eccentric(_Asymmetric):
     """Center of every floor or story, or of one, at a distance e from the axis of the symmetric frame.
 
     Expected size: 0.12 radii of gyration, which are 5 % of the side of a square floor, the accidental eccentricity of
@@ -33,19 +48,13 @@ class _Eccentric(Effect):
     """
 
     source = "parallel shift of the reference point of a rigid floor"
-    stage = "center"
-    floors_move = ("three",)
     parameters = (Parameter("e", "m"),)
     usual, usual_in = 0.12, "mean_radius"
     probability = 0.3
 
     def places(self, experiment: Experiment) -> list[Place]:
-        levels = [Place(), *super().places(experiment)]
-        return [Place(floor=at.floor, story=at.story, part=axis) for at in levels for axis in MOVED]
-
-    def weight(self, place: Place, experiment: Experiment) -> float:
-        """Return as much for all floors or stories together as for each of them alone."""
-        return float(experiment.stories) if (place.floor, place.story) == (None, None) else 1.0
+        levels = super().places(experiment)
+        return [replace(at, part=axis) for at in levels for axis in MOVED]
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         coordinate = f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"
@@ -81,7 +90,7 @@ class EccentricStiffness(_Eccentric):
         return with_moved_stories(state, str(place.part), values, _pattern(place.story, len(state.heights)), own)
 
 
-class TurnedAxes(Effect):
+class TurnedAxes(_Asymmetric):
     """K_xy = o (k_x + k_y) / 2 for all stories, or for one: their principal axes are not x and y.
 
     Nearly equal frequencies in x and y let modes sway in any direction, and a small o says in which.
@@ -94,18 +103,9 @@ class TurnedAxes(Effect):
     summary = "The principal axes of a story, or of all stories, are not x and y: oblique walls, or a turned frame."
     formula = "K_s + o (k_x + k_y) / 2 between x and y"
     source = "a symmetric matrix of two motions has principal axes"
-    stage = "center"
-    floors_move = ("three",)
     parameters = (Parameter("o", "", lower=-1.0, upper=1.0),)
     sits_at = ("story",)
     usual = 0.12
-
-    def places(self, experiment: Experiment) -> list[Place]:
-        return [Place(), *super().places(experiment)]
-
-    def weight(self, place: Place, experiment: Experiment) -> float:
-        """Return as much for all stories together as for each of them alone."""
-        return float(experiment.stories) if place.story is None else 1.0
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return with_turned_axes(state, values, _pattern(place.story, len(state.heights)), own)
@@ -156,8 +156,7 @@ class OtherCenters(OpenClass):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         n = len(state.heights)
-        own_part = [slice(first, first + n) for first in range(0, 5 * n, n)]
-        parts = [(values[part], slice(own.start + part.start, own.start + part.stop)) for part in own_part]
+        parts = [(part, slice(own.start + n * i, own.start + n * i + n)) for i, part in enumerate(np.split(values, 5))]
         for axis, (moved, rows) in zip(MOVED, parts[:2], strict=True):
             state = with_moved_masses(state, axis, moved, np.eye(n), rows)
         state = with_turned_axes(state, parts[-1][0], np.eye(n), parts[-1][1])

@@ -116,14 +116,13 @@ class AddedMass(Effect):
 def _with_mass_at(state: State, floor: int, values: Floats, own: slice) -> State:
     """Add a mass at (x, y) of a floor that turns, counted from 0."""
     mass, x, y = values.tolist()
-    moved, by_x, by_y = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]), np.zeros((2, 3)), np.zeros((2, 3))
-    by_x[1, 2], by_y[0, 2] = 1.0, -1.0
+    # Derivatives of the mass, the first moments and the inertia that it adds.
+    by_values = [[1.0, x, y, x**2 + y**2], [0.0, mass, 0.0, 2.0 * mass * x], [0.0, 0.0, mass, 2.0 * mass * y]]
+    slopes = np.tensordot(by_values, THREE_MOTIONS.mass_basis, 1)
     at = slice(3 * floor, 3 * floor + 3)
     M, dM = state.system.M.copy(), state.system.dM.copy()
-    M[at, at] += mass * moved.T @ moved
-    dM[own.start, at, at] += moved.T @ moved
-    for row, slope in enumerate((by_x, by_y), own.start + 1):
-        dM[row, at, at] += mass * (slope.T @ moved + moved.T @ slope)
+    M[at, at] += mass * slopes[0]
+    dM[own, at, at] += slopes
     return state.with_mass(M, dM)
 
 
@@ -172,9 +171,7 @@ class MassCoupling(Effect):
     """
 
     name = "mass_coupling"
-    summary = (
-        "The columns' own mass moves with both floors they join, which couples neighbouring floors through the mass."
-    )
+    summary = "The columns' own mass moves with both floors they join, and so couples neighbouring floors."
     formula = "M + mu sum over stories of [[13/35 - 1/2, 9/70], [9/70, 13/35 - 1/2]]"
     source = "consistent mass matrix of a Bernoulli beam in sway, Archer 1963"
     stage = "inertia"

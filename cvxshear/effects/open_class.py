@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from itertools import combinations
 from typing import ClassVar, Self
 
 import numpy as np
@@ -10,7 +11,7 @@ from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.masses import on_floors
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import with_changed_story
-from cvxshear.effects.whole_frame import MOST_JOINED, unit_springs
+from cvxshear.effects.whole_frame import MOST_JOINED, separate_levels, unit_springs
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
@@ -79,13 +80,6 @@ class OpenClass(Effect):
         return order[:most]
 
 
-def pairs(stories: int, *, ground: bool) -> list[tuple[int, int]]:
-    """List pairs of floors, the lower first, 0 the ground; with the ground, the pairs at least two levels apart."""
-    if ground:
-        return [(i, j) for i in range(stories + 1) for j in range(i + 2, stories + 1)]
-    return [(i, j) for i in range(1, stories + 1) for j in range(i + 1, stories + 1)]
-
-
 def named_pair(i: int, j: int) -> str:
     """Name a pair, such as "floors 2 and 6" or "the ground and floor 3"."""
     return f"floors {i} and {j}" if i else f"the ground and floor {j}"
@@ -117,12 +111,12 @@ class OtherStiffness(OpenClass):
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         parts = WAYS if experiment.frame.turns else ("",)
-        ties = pairs(experiment.stories, ground=True)
+        ties = separate_levels(experiment.stories)
         return [Parameter(f"{named_pair(i, j)}{part}", "N/m") for part in parts for i, j in ties]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         n, experiment = len(state.heights), state.experiment
-        units = unit_springs(pairs(n, ground=True), n)
+        units = unit_springs(separate_levels(n), n)
         if experiment.frame.turns:
             # Rotations at the radius of gyration, so that all springs are in N/m.
             each = [1.0, 1.0, float(np.mean(experiment.radius)) ** 2]
@@ -147,10 +141,10 @@ class OtherInertia(OpenClass):
     place_in_words = "something that the catalogue does not hold couples the inertia of"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        return [Parameter(named_pair(i, j), "kg") for i, j in pairs(experiment.stories, ground=False)]
+        return [Parameter(named_pair(i, j), "kg") for i, j in combinations(range(1, experiment.stories + 1), 2)]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        i, j = np.array(pairs(len(state.floor_mass), ground=False)).T - 1
+        i, j = np.triu_indices(len(state.floor_mass), k=1)
         units = np.zeros((len(i), len(state.floor_mass), len(state.floor_mass)))
         units[np.arange(len(i)), i, j] = units[np.arange(len(i)), j, i] = 1.0
         return state.plus_mass(values, units, own)

@@ -1,7 +1,7 @@
 """Errors of sensor readings and of declared statements."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -45,9 +45,7 @@ class SensorGain(Effect):
                 if entries.any():
                     seen.setdefault(at, {})[each.state] = None
         everywhere = sorted(seen, key=lambda at: at.floor_index)
-        return everywhere + [
-            dataclasses.replace(at, state=state) for at in everywhere if len(seen[at]) > 1 for state in seen[at]
-        ]
+        return everywhere + [replace(at, state=state) for at in everywhere if len(seen[at]) > 1 for state in seen[at]]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         row = place.floor_index

@@ -231,9 +231,7 @@ class JointRotation(Effect):
         "story element k [[1, h/2], [h/2, h^2/3]] with coupling h^2/6, plus r = mean(k h^2) / eta a floor, "
         "rotations condensed"
     )
-    source = (
-        "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
-    )
+    source = "Bernoulli beam, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
     stage = "joint"
     parameters = (Parameter("eta", "", lower=0.0, upper=10.0, null=0.0, start=0.05),)
     uses_heights = True

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -31,13 +32,9 @@ class Gravity(Effect):
     """
 
     name = "gravity"
-    summary = (
-        "The weight above each story pulls the leaning frame further over and so reduces its sway stiffness (P-delta)."
-    )
+    summary = "The weight above each story pulls the leaning frame over and so reduces its sway stiffness (P-delta)."
     formula = "K - gamma T diag(P_i / h_i) T',  P_i = g (mass at and above floor i)"
-    source = (
-        "Clough and Penzien, Dynamics of Structures, geometric stiffness: linear (1) and consistent cubic (6/5) shape"
-    )
+    source = "Clough and Penzien, Dynamics of Structures: geometric stiffness, linear (1) and consistent cubic (6/5)"
     stage = "gravity"
     floors_move = ("one", "three")
     parameters = (Parameter("gamma", "", lower=1.0, upper=1.2, null=0.0, start=1.1),)
@@ -136,9 +133,7 @@ class AxialColumns(_Flexible):
     """
 
     name = "axial_columns"
-    summary = (
-        "The columns stretch on one side and shorten on the other, so that the whole frame bends like a cantilever."
-    )
+    summary = "The columns stretch on one side and shorten on the other: the whole frame bends like a cantilever."
     formula = "flexibility + sum over stories s of M_is M_js h_s / EI,  M_is = max(z_i - mid-height of story s, 0)"
     source = "principle of virtual forces, columns with their inflection at mid-height"
     parameters = (Parameter("inverse_EI", "1/(N m2)", lower=0.0, unit_in_stories="m/N"),)
@@ -149,8 +144,7 @@ class AxialColumns(_Flexible):
     def pattern(self, heights: Floats) -> Floats:
         z = np.cumsum(heights)
         moment = np.maximum(z[:, None] - (z - 0.5 * heights), 0.0)
-        D: Floats = (moment * heights) @ moment.T
-        return D
+        return np.asarray((moment * heights) @ moment.T)
 
 
 class BaseRocking(_Flexible):
@@ -164,9 +158,7 @@ class BaseRocking(_Flexible):
     """
 
     name = "base_rocking"
-    summary = (
-        "The base turns under the overturning moment, so that the whole frame rocks as a rigid body on top of its sway."
-    )
+    summary = "The base turns under the overturning moment: the frame rocks as a rigid body on top of its sway."
     formula = "flexibility + z z' / k_theta"
     source = "rigid-body rotation about the base against a rotational spring"
     parameters = (Parameter("inverse_k_theta", "rad/(N m)", lower=0.0, unit_in_stories="m/N"),)
@@ -269,9 +261,7 @@ class GroundSpring(_Tie):
     """
 
     name = "ground_spring"
-    summary = (
-        "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
-    )
+    summary = "Something beside the frame holds one floor: a brace to the ground, a neighbour, a cable, a shaker's rod."
     formula = "K + s e_j e_j'"
     source = "linear spring from floor j to the ground"
     probability = 0.05
@@ -281,11 +271,8 @@ class GroundSpring(_Tie):
     lowest_floor = 2
 
     def places(self, experiment: Experiment) -> list[Place]:
-        return [
-            Place(floor=floor, state=state)
-            for state in _in_all_or_since(experiment)
-            for floor in range(self.lowest_floor, experiment.stories + 1)
-        ]
+        floors = super().places(experiment)
+        return [replace(at, state=state) for state in _in_all_or_since(experiment) for at in floors]
 
 
 class Spring(_Tie):
@@ -299,9 +286,7 @@ class Spring(_Tie):
     """
 
     name = "spring"
-    summary = (
-        "Something ties two floors that are not neighbors: a brace over several stories, a stair, a cable, a core."
-    )
+    summary = "Something ties two floors that are no neighbors: a brace over several stories, a stair, a cable, a core."
     formula = "K + s d d',  d = e_to - e_floor"
     source = "linear spring between two floors"
     sits_at = ("floor", "to")
@@ -309,13 +294,8 @@ class Spring(_Tie):
     usual = 0.2
 
     def places(self, experiment: Experiment) -> list[Place]:
-        n = experiment.stories
-        return [
-            Place(floor=low, to=high, state=state)
-            for state in _in_all_or_since(experiment)
-            for low in range(1, n + 1)
-            for high in range(low + 2, n + 1)
-        ]
+        ties = [Place(low, to=high) for low, high in separate_levels(experiment.stories) if low]
+        return [replace(at, state=state) for state in _in_all_or_since(experiment) for at in ties]
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if 2 < experiment.stories <= MOST_JOINED else f"three to {MOST_JOINED} stories"
@@ -326,10 +306,14 @@ def _in_all_or_since(experiment: Experiment) -> list[str | None]:
     return [None] if experiment.frame.reference is None else [None, *shown_states(experiment)]
 
 
+def separate_levels(stories: int) -> list[tuple[int, int]]:
+    """List the pairs of levels that no story joins, the lower first, 0 the ground."""
+    return [(low, high) for low in range(stories + 1) for high in range(low + 2, stories + 1)]
+
+
 def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:
     """Return d d' of a spring of unit stiffness between each pair of floors, 0 the ground, shape (p, N, N)."""
     ends = np.eye(stories + 1)[:, 1:]
     low, high = np.array(pairs).T
     d = ends[high] - ends[low]
-    units: Floats = d[:, :, None] * d[:, None, :]
-    return units
+    return np.asarray(d[:, :, None] * d[:, None, :])

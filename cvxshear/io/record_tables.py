@@ -262,9 +262,8 @@ class RecordFile:
             table = np.column_stack([item.read(each.columns) for item in responses])
             runs.append(kinds.Run(table, each.excitation, each.floor, each.name, *each.span))
         common = {**self._common(), "quantity": quantities.pop()}
-        return kinds.TimeRecord(
-            tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input
-        ), notes
+        found = kinds.TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=self.input)
+        return found, notes
 
     def frf_record(self) -> kinds.FrfRecord:
         """Read frequency response functions."""

@@ -28,15 +28,6 @@ from cvxshear.util.writing import escaped
 #: Floor mass (kg) and story stiffness (N/m) of the example frame; the weight of a floor pulls at its top.
 MASS, STIFFNESS = 10.0, 10e3
 
-#: Line of a new file whose modes are an example.
-TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
-
-TO_FILL_IN = """\
-total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two configurations with different added masses;
-# {file} does not tell how heavy the frame is, and with 1 kg masses and stiffnesses come out per kilogram of it"""
-
-CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
-
 
 def blank_text(name: str) -> str:
     """Read a text of the folder `blank`."""
@@ -67,7 +58,7 @@ def template(stories: int = 3) -> str:
         frequencies=_listed(frequencies, ".4f"),
         rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes / abs(shapes).max(axis=1, keepdims=True)),
     )
-    return _filled(lists, stories, TOTAL)
+    return _filled(lists, stories, _WORDS["total"]["example"])
 
 
 def template_from(modes: str | Path, folder: str | Path = ".") -> str:
@@ -92,7 +83,8 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     """
     key, found = read_modes_of(modes)
     named = toml_line(key, os.path.relpath(modes, folder))
-    total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", printable(Path(modes).name))
+    total = _WORDS["total"]["carried" if found.get("mass_normalized") else "to_fill_in"]
+    total = total.replace("{file}", printable(Path(modes).name))
     text = _filled(f"{named}  # frequencies and mode shapes", max(found["measured_floors"]), total)
     for given in ("frequency_std", "mode_shape_std"):
         # Omit the keys that the table itself has.

@@ -340,6 +340,13 @@ class Configuration(InTable):
                 return self.repeats.summary(mass_normalized=self.mass_normalized)
         return {}
 
+    def _check_given(self, name: str, otherwise: object, check: Callable[..., object], **limits: Any) -> None:
+        """Check a field that is given, or put a default in its place."""
+        if _absent(getattr(self, name)):
+            self._put(name, otherwise)
+        else:
+            self._check(name, check, **limits)
+
     def _replace(self, found: Mapping[str, Floats], by: str = "repeats") -> None:
         """Put fields that follow from another field; a copy may have them already."""
         for key, value in found.items():
@@ -365,12 +372,8 @@ class Configuration(InTable):
                 f"is {after:g} Hz after {before:g} Hz ({cure})"
             )
         count = len(self.frequencies)
-        if _absent(self.modes):
-            self._put("modes", checks.frozen(np.arange(1, count + 1)))
-        else:
-            self._check(
-                "modes", checks.ascending_whole, most=checks.MOST_STORIES, length=count, each=", one a frequency"
-            )
+        one_each: dict[str, Any] = {"most": checks.MOST_STORIES, "length": count, "each": ", one a frequency"}
+        self._check_given("modes", checks.frozen(np.arange(1, count + 1)), checks.ascending_whole, **one_each)
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
 
     def _check_covariance(self, value: object) -> None:
@@ -398,10 +401,9 @@ class Configuration(InTable):
             )
 
     def _check_shapes(self) -> None:
-        if _absent(self.mode_shapes) and self.mode_shapes is not None:
-            self._put("mode_shapes", checks.frozen(np.zeros((len(self.frequencies), 0))))
-        else:
-            self._check("mode_shapes", checks.table, rows=len(self.frequencies), nan=True)
+        count = len(self.frequencies)
+        self._check_given("mode_shapes", checks.frozen(np.zeros((count, 0))), checks.table, rows=count, nan=True)
+        self._refuse_empty_shapes(self.mode_shapes)
         self._check("mass_normalized", checks.flag)
         self._check_added_mass()
         width = self.mode_shapes.shape[1]
@@ -410,27 +412,20 @@ class Configuration(InTable):
             self._check_sensors(width)
             return
         whole = _absent(self.measured_floors) or len(self.added_mass) == width
-        if _absent(self.measured_floors):
-            self._put("measured_floors", _no_ints())
-        else:
+        if not width and not _absent(self.measured_floors):
             where = self._at("measured_floors")
-            if not width:
-                raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
-            each = ", one an entry in each row of mode_shapes"
-            self._check("measured_floors", checks.ascending_whole, most=checks.MOST_STORIES, length=width, each=each)
-        if width:
-            self._refuse_empty_shapes(self.mode_shapes)
-            if (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
-                raise InputError(
-                    f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode "
-                    "has its own"
-                )
+            raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
+        one_each: dict[str, Any] = {"length": width, "each": ", one an entry in each row of mode_shapes"}
+        most = checks.MOST_STORIES
+        self._check_given("measured_floors", _no_ints(), checks.ascending_whole, most=most, **one_each)
+        if width and (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
+            raise InputError(
+                f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode "
+                "has its own"
+            )
 
     def _check_added_mass(self) -> None:
-        if _absent(self.added_mass):
-            self._put("added_mass", _no_floats())
-        else:
-            self._check("added_mass", checks.vector, least=0.0)
+        self._check_given("added_mass", _no_floats(), checks.vector, least=0.0)
         if not _absent(self.added_mass_position):
             if not len(self.added_mass):
                 raise InputError(f"{self._at('added_mass_position')} is given, but no added_mass: give both")
@@ -443,7 +438,6 @@ class Configuration(InTable):
         self._put("measured_floors", _no_ints())
         if len(self.sensors) != width:
             raise InputError(f"{where} has {checks.entries(len(self.sensors))}, each row of mode_shapes has {width}")
-        self._refuse_empty_shapes(self.mode_shapes)
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:
         for row, shape in enumerate(shapes, 1):

@@ -11,18 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cvxshear.measurement import declaration
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import (
-    DAMPING_KINDS,
-    MOTIONS,
-    Damping,
-    ExpectedEffect,
-    Frame,
-    Heading,
-    Limits,
-    StaticTest,
-    named_in,
-)
+from cvxshear.measurement.declaration import DAMPING_KINDS, MOTIONS, Damping, ExpectedEffect, Frame, Limits, StaticTest
 from cvxshear.motions import ONE_MOTION, SYMMETRIC_MOTIONS, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks, decorators
@@ -76,7 +67,7 @@ class Experiment(Shown):
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
-    report: Heading = field(default_factory=Heading)
+    report: declaration.Heading = field(default_factory=declaration.Heading)
     limits: Limits | None = None
     symmetric: bool = False
 
@@ -132,9 +123,8 @@ class Experiment(Shown):
     def _check_states(self) -> None:
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
-        if self.frame.reference is not None and self.frame.reference not in states:
-            known = ", ".join(f'"{state}"' for state in states)
-            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {known}")
+        if self.frame.reference is not None:
+            checks.choice(self.frame.reference, states, "frame: reference")
         for each in self.expected:
             each.check(self.stories, states)
 
@@ -226,17 +216,15 @@ class Experiment(Shown):
         static = []
         for place, item in checks.tables(table, "static"):
             name_of_test = f"static test {place}"
-            where = named_in(item, "static test", name_of_test)
+            where = declaration.named_in(item, "static test", name_of_test)
             static.append(StaticTest.of_table(item, where, "force", "displacement", name=name_of_test))
-        expected = [
-            ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")
-        ]
+        effects = [ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")]
         said = {key: value for key, value in table.items() if value is not None}
         damping = Damping(**checks.keys(said.get("damping", {}), ["kind"], [], "damping"))
-        report = Heading.from_dict(said.get("report", {}))
+        report = declaration.Heading.from_dict(said.get("report", {}))
         limits = Limits.of_table(said["limits"], "limits", "story_drift") if "limits" in said else None
         return Experiment(
-            frame, configurations, tuple(priors), name, tuple(static), tuple(expected), damping, report, limits
+            frame, configurations, tuple(priors), name, tuple(static), tuple(effects), damping, report, limits
         )
 
     def to_dict(self) -> Json:

@@ -149,13 +149,10 @@ def violations(reading: MeasuredModes) -> list[str]:
 def _violation(number: int, signs: Floats, *, whole: bool) -> str:
     """Return the mistake in one mode as a text, or an empty text. Entries that were not measured may have any sign."""
     right = number - 1
-    least = fewest_changes(signs)
-    if least > right:
-        return f"mode {number} changes sign {_times(least)} from the ground up, and a shear frame's {_times(right)}"
-    most = most_changes(signs)
-    if whole and most < right:
-        return f"mode {number} changes sign {_times(most)} from the ground up, and a shear frame's {_times(right)}"
-    return ""
+    found = max(fewest_changes(signs), min(right, most_changes(signs)) if whole else right)
+    if found == right:
+        return ""
+    return f"mode {number} changes sign {_times(found)} from the ground up, and a shear frame's {_times(right)}"
 
 
 def _times(count: int) -> str:

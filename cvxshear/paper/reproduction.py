@@ -30,9 +30,7 @@ PerStructure = Mapping[str, Any]
 
 
 #: Tables of figures; the file says what each holds, and in which unit.
-PRINTED: dict[str, Any] = tomllib.loads(
-    resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8")
-)
+PRINTED: dict[str, Any] = tomllib.loads((resources.files("cvxshear.paper") / "printed.toml").read_text("utf-8"))
 
 #: Method, case and entry of Table 1 that differs from the formula's value.
 MISPRINT = ("berman", "1", "23")
@@ -253,7 +251,8 @@ def exact_sections(backend: str | backends.Backend) -> Iterator[PaperSection]:
     masses = (
         PaperRow(
             f"m{entry[0]}, kg" if entry[0] == entry[1] else f"mass matrix entry ({entry[0]}, {entry[1]}), kg",
-            _place("Table 1", method, case), printed, _entry(matrices[method, case], entry),
+            _place("Table 1", method, case), printed,
+            float(matrices[method, case][int(entry[0]) - 1, int(entry[1]) - 1]),
             misprint=(method, case, entry) == MISPRINT,
         )
         for method, cases in PRINTED["table_1"].items()
@@ -294,11 +293,6 @@ def exact_sections(backend: str | backends.Backend) -> Iterator[PaperSection]:
 
 def _place(table: str, method: str, case: str) -> str:
     return f"{table}, Case {case}, {PRINTED['methods'][method]}"
-
-
-def _entry(matrix: Floats, entry: str) -> float:
-    """Return an entry of a matrix by its two printed numbers."""
-    return float(matrix[int(entry[0]) - 1, int(entry[1]) - 1])
 
 
 def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:

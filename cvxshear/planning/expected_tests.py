@@ -51,10 +51,8 @@ class Declared:
             for each in tests
             if np.all(np.any(each.measured, axis=1))
         ]
-        entries = np.concatenate([*shapes, np.zeros(0)])
-        return Declared(
-            float(np.median(frequency)), float(np.median(entries)) if len(entries) else DEFAULT_MODE_SHAPE_STD
-        )
+        shape = float(np.median(np.concatenate(shapes))) if shapes else DEFAULT_MODE_SHAPE_STD
+        return Declared(float(np.median(frequency)), shape)
 
     @property
     def words(self) -> str:
@@ -145,23 +143,16 @@ class TestModel:
         half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
         return np.asarray(half @ half.T)
 
-    def averaged(
-        self,
-        tests: Sequence[misfit.ExpectedTest],
-        floors: Ints,
-        exact: Floats | None = None,
-        pairs: int = 16,
-        widest: float = 0.3,
-    ) -> Floats:
+    def averaged(self, tests: Sequence[misfit.ExpectedTest], floors: Ints, exact: Floats | None = None) -> Floats:
         """Average the covariance over the frames that are possible before the tests, shape (2N, 2N).
 
-        The frames are drawn from the prior information, in pairs on either side of the design values. The covariance is
-        relative to the values of each frame. `widest` limits the relative deviation of a value in the draws.
+        The frames are drawn from the prior information, in 16 pairs on either side of the design values. In the draws,
+        a value deviates by 30 % at most. The covariance is relative to the values of each frame.
         """
         values, axes = np.linalg.eigh(self.covariance([], np.zeros(0, dtype=int)))
         # The symmetric root does not depend on the choice of axes.
-        root = (axes * np.sqrt(np.clip(values, 0.0, widest**2))) @ axes.T
-        drawn = np.random.default_rng(1).standard_normal((pairs, len(root))) @ root
+        root = (axes * np.sqrt(np.clip(values, 0.0, 0.3**2))) @ axes.T
+        drawn = np.random.default_rng(1).standard_normal((16, len(root))) @ root
         found = []
         for change in np.concatenate([drawn, -drawn]):
             mass, stiffness = np.split(self.design.sizes * np.exp(change), 2)

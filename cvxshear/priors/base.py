@@ -217,9 +217,7 @@ def _check_residual(prior: Prior, stories: int, name: str) -> None:
     tried = [(size * spread, *_evaluated(prior, size * spread, name)) for size in SIZES]
     finite = [each for each in tried if np.all(np.isfinite(each[1])) and np.all(np.isfinite(each[2]))]
     if not finite:
-        raise InputError(
-            f"{name}: its residual or derivative is not finite anywhere from {SIZES[0]:g} to {SIZES[-1]:g}"
-        )
+        raise InputError(f"{name}: its residual or derivative is nowhere finite from {SIZES[0]:g} to {SIZES[-1]:g}")
     x, r, J = min(finite, key=lambda each: float(np.max(np.abs(each[1]), initial=0.0)))
     for _ in range(2):
         d = checks.DIFFERENCE_STEP * x * rng.choice([-1.0, 1.0], stories)
@@ -260,6 +258,14 @@ def put(prior: Prior, name: str, check: Callable[..., object], **limits: object)
 def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> None:
     """Raise `InputError` unless the field holds a floor or story, from 1 to `stories`."""
     put(prior, name, checks.whole, least=1, most=stories)
+
+
+def check_length(prior: Prior, name: str, stories: int, remedy: str) -> None:
+    """Raise `InputError` unless a list in the field has an entry for each floor or story."""
+    value = getattr(prior, name)
+    if isinstance(value, np.ndarray) and len(value) != stories:
+        count = checks.entries(len(value))
+        raise InputError(f"{name} of the {prior.kind} prior has {count}, the frame has {stories} stories; {remedy}")
 
 
 def listed(value: float | Floats, quantity: str) -> str:

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import helmert
 
-from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, listed, put
+from cvxshear.priors.base import Constraints, Prior, certainty, check_length, check_place, check_quantity, listed, put
 from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats
 
@@ -137,11 +137,7 @@ class Nominal(_Equations):
 
     def check(self, stories: int) -> None:
         """Raise `InputError` if it names floors or stories that the frame does not have."""
-        if len(self.values) != stories:
-            raise errors.InputError(
-                f"values of the nominal prior has {checks.entries(len(self.values))}, the frame has {stories} stories; "
-                "give one a story"
-            )
+        check_length(self, "values", stories, "give one a story")
 
     def _exact(self, stories: int) -> tuple[Floats, Floats]:
         if not self.free_scale:
@@ -238,12 +234,7 @@ class Bounds(Prior):
     def check(self, stories: int) -> None:
         """Raise `InputError` if it names floors or stories that the frame does not have."""
         for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if isinstance(value, np.ndarray) and len(value) != stories:
-                raise errors.InputError(
-                    f"{name} of the bounds prior has {checks.entries(len(value))}, the frame has {stories} stories; "
-                    "give one number for all, or one a story"
-                )
+            check_length(self, name, stories, "give one number for all, or one a story")
         lower, upper = self._limits(stories)
         if np.any(lower > upper):
             place = int(np.argmax(lower > upper))

@@ -13,7 +13,7 @@ import numpy as np
 
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats
 
 #: Fraction of the solution's norm, in units of each column, that is added to an unknown's size. Without it a bound at
 #: zero would have to be met exactly. With a thousandth, small unknowns keep three digits fewer than large ones.
@@ -233,6 +233,11 @@ class Assembled:
         """Lengths of the rows of G after the columns of R are scaled to unit length; one for a zero row."""
         return self.row_lengths(self.G)
 
+    def held(self, point: Point) -> Bools:
+        """Find the inequalities with a multiplier greater than their slack, both made free of units, shape (g,)."""
+        slack = np.maximum(self.h - self.G @ point.x, 0.0)
+        return np.asarray(point.w * self.inequality_lengths > slack / self.inequality_lengths)
+
     def row_lengths(self, rows: Floats) -> Floats:
         """Compute lengths of any rows after the columns of R are scaled to unit length; one for a zero row."""
         scaled = rows / self.lengths
@@ -264,9 +269,7 @@ class Assembled:
 
     def distance(self, x: Floats, other: Floats) -> float:
         """Compute the distance R (x - other) of two points, relative to the sizes of R other and s."""
-        return largest_relative(
-            np.array(length(self.R @ (x - other))), np.array(length(self.R @ other) + self.side_length)
-        )
+        return largest_relative(np.array(length(self.R @ (x - other))), length(self.R @ other) + self.side_length)
 
 
 def certify(program: Assembled, point: Point) -> Certificate:

@@ -45,7 +45,7 @@ class NamedConstraints:
     def widened(self, at: slice | Ints, size: int) -> NamedConstraints:
         """Write statements about some of the parameters, those at `at`, as statements about all of them."""
 
-        def wide(values: Floats | None, fill: float) -> Floats | None:
+        def wide(values: Floats | None, fill: float = 0.0) -> Floats | None:
             if values is None:
                 return None
             full = np.full((*values.shape[:-1], size), fill)
@@ -54,9 +54,7 @@ class NamedConstraints:
 
         said = self.constraints
         lower, upper = wide(said.lower, -np.inf), wide(said.upper, np.inf)
-        return NamedConstraints(
-            self.name, Constraints(lower, upper, wide(said.G, 0.0), said.h, wide(said.A, 0.0), said.b)
-        )
+        return NamedConstraints(self.name, Constraints(lower, upper, wide(said.G), said.h, wide(said.A), said.b))
 
 
 def statements(

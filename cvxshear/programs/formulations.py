@@ -21,15 +21,7 @@ from scipy import linalg
 
 from cvxshear.measurement.experiment import Configuration, Experiment, Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.programs.constraints import (
-    LEAST_POSITIVE,
-    NamedConstraints,
-    constrained,
-    refuse_contradicting,
-    remaining,
-    softened,
-    statements,
-)
+from cvxshear.programs import constraints
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.turning import TurningTest
 from cvxshear.util import checks, decorators, errors, quantities
@@ -194,8 +186,8 @@ class CompleteTest:
     shapes: Floats
     eigenvalues: Floats
     total: float
-    of_masses: list[NamedConstraints]
-    of_stiffnesses: list[NamedConstraints]
+    of_masses: list[constraints.NamedConstraints]
+    of_stiffnesses: list[constraints.NamedConstraints]
     shape_std: float
 
     def start_mass(self, given: Sequence[float] | Floats | None = None) -> Floats:
@@ -215,10 +207,10 @@ class CompleteTest:
         mass = net + self.configuration.added_mass
         plain = mass_rows(normalized(self.shapes, mass), mass, self.total)
         # The statements hold the total already.
-        program = softened(
+        program = constraints.softened(
             plain.replace(A=None, b=None), self.experiment.priors, "floor_mass", net, self.shape_std, step=True
         )
-        return constrained(program, self.of_masses, net).replace(title=self._title("mass correction"))
+        return constraints.constrained(program, self.of_masses, net).replace(title=self._title("mass correction"))
 
     def one_shot_masses(self, at: Floats | None = None) -> LeastSquares:
         """Write the one-shot program with all that is known.
@@ -228,13 +220,12 @@ class CompleteTest:
         at : ndarray, shape (N,), optional
             Floor masses for the linearization of soft priors. Without these masses, the program has no soft priors.
         """
-        plain = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
-        program = plain
+        program = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
         if at is not None:
             # A row is off by about a floor's mass times the error of a shape.
             row_std = self.shape_std * self.total / self.experiment.stories
-            program = softened(plain, self.experiment.priors, "floor_mass", at, row_std, step=False)
-        return constrained(program, self.of_masses, np.zeros(len(self.shapes))).replace(
+            program = constraints.softened(program, self.experiment.priors, "floor_mass", at, row_std, step=False)
+        return constraints.constrained(program, self.of_masses, np.zeros(len(self.shapes))).replace(
             title=self._title("one-shot masses")
         )
 
@@ -247,13 +238,12 @@ class CompleteTest:
         at : ndarray, shape (N,), optional
             Story stiffnesses for the linearization of soft priors.
         """
-        plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
-        program = plain
+        program = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
         if at is not None:
             # A row is off by about the largest eigenvalue times the error of a shape.
             row_std = self.shape_std * float(self.eigenvalues.max())
-            program = softened(plain, self.experiment.priors, "story_stiffness", at, row_std, step=False)
-        return constrained(program, self.of_stiffnesses, np.zeros(len(self.shapes))).replace(
+            program = constraints.softened(program, self.experiment.priors, "story_stiffness", at, row_std, step=False)
+        return constraints.constrained(program, self.of_stiffnesses, np.zeros(len(self.shapes))).replace(
             title=self._title("story stiffnesses")
         )
 
@@ -310,18 +300,18 @@ def complete_test(experiment: Experiment, configuration: Configuration, user: st
     total = experiment.frame.known_total
     if total is None:
         raise errors.UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
-    refuse_contradicting(experiment)
+    constraints.refuse_contradicting(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
-    least = LEAST_POSITIVE * total / n
+    least = constraints.LEAST_POSITIVE * total / n
     return CompleteTest(
         experiment,
         configuration,
         shapes=configuration.mode_shapes.T,
         eigenvalues=eigenvalues,
         total=total + float(configuration.added_mass.sum()),
-        of_masses=statements(experiment.priors, "floor_mass", n, experiment.frame, least),
-        of_stiffnesses=statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
+        of_masses=constraints.statements(experiment.priors, "floor_mass", n, experiment.frame, least),
+        of_stiffnesses=constraints.statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
         shape_std=float(np.sqrt(np.mean(relative**2))),
     )
 
@@ -423,7 +413,7 @@ def _total(at: Floats, total: float) -> dict[str, Any]:
     ones = np.ones((1, len(at)))
     return {
         "A": ones,
-        "b": remaining(np.array([total]), ones, at),
+        "b": constraints.remaining(np.array([total]), ones, at),
         "names": tuple(f"floor_mass {place}" for place in range(1, len(at) + 1)),
     }
 

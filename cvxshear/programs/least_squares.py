@@ -158,9 +158,7 @@ class LeastSquares:
         duals = self.duals_at(point)
         found = [("A", row) for row in range(len(self.equalities[1]))]
         if np.any(point.w > 0):  # otherwise no inequality holds anything, and a tall frame's rows need not be written
-            arrays = Assembled(self)
-            lengths = arrays.inequality_lengths
-            held = point.w * lengths > np.maximum(arrays.h - arrays.G @ point.x, 0.0) / lengths
+            held = Assembled(self).held(point)
             found += [label for label, active in zip(self._labels, held, strict=True) if active]
         listed = []
         for kind, index in found:

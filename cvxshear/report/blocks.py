@@ -285,6 +285,8 @@ class Document:
         Tables for programs, the main one first; the key of a table is the name of its sheet.
     line : str
         Result in one short line for a prompt; if empty, the headline.
+    heading : str
+        Heading of the page; the page of a loop has the title of its test.
     """
 
     title: str
@@ -292,6 +294,7 @@ class Document:
     sections: tuple[Section, ...]
     data: tuple[Table, ...] = ()
     line: str = ""
+    heading: str = ""
 
     def __getitem__(self, key: str) -> Section:
         """Return the section with a key."""

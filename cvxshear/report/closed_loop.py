@@ -136,15 +136,13 @@ def _by_state(
     ratio: Floats,
 ) -> Iterator[blocks.Table]:
     """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
-    estimate, experiment = result.judged, result.experiment
+    judged, experiment = result.judged, result.experiment
     tests = {each.state: each for each in reversed(experiment.configurations)}
     first = experiment.frame.reference
     states = sorted(experiment.states, key=lambda name: name != first)
-    found = [
-        (f'"{name}"', quantity(compose(experiment, tests[name], estimate.effects, estimate.theta))) for name in states
-    ]
+    found = [(f'"{name}"', quantity(compose(experiment, tests[name], judged.effects, judged.theta))) for name in states]
     if first is None:
-        found.insert(0, ("shear frame", quantity(compose(experiment, tests[states[0]], (), estimate.theta))))
+        found.insert(0, ("shear frame", quantity(compose(experiment, tests[states[0]], (), judged.theta))))
     groups: list[tuple[list[str], StateValues]] = []
     for name, values in found:
         same = [names for names, each in groups if _alike(each[0], values[0]).all()]
@@ -156,7 +154,7 @@ def _by_state(
         return
     (_, before), *_ = groups
     factor, unit = unit_of((ratio * before[0]).tolist())
-    covariance = estimate.uncertainty.covariance()
+    covariance = judged.uncertainty.covariance()
     columns = [blocks.places(len(before[0]), "floor" if key == "floors" else "story")]
     for names, after in groups:
         texts = quantities.significants((ratio * after[0] / factor).tolist(), 5)
@@ -356,9 +354,7 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
     if any(item.rivals for item in result.effects):
         return f"No added mass up to that of a floor would distinguish the rivals.{_reference(result)} {verdict.advice}"
     if headline.in_doubt(result):
-        return (
-            "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
-        )
+        return "Sensors at more floors: the changes of sign of a shape known at every floor show which mode it is."
     return verdict.advice
 
 

@@ -69,9 +69,7 @@ def modes_data(result: ModalResult) -> blocks.Table:
         **{(name, unit): shapes[:, at] for at, name in enumerate(result.entries)},
         **{(f"{name} std", unit): stds[:, at] for at, name in enumerate(result.entries)},
     }
-    columns = (
-        blocks.exact(name, each, unit=unit) for (name, unit), each in values.items() if np.any(np.isfinite(each))
-    )
+    columns = (blocks.exact(name, each, unit=unit) for (name, unit), each in values.items() if np.isfinite(each).any())
     return blocks.Table(result.name, "Modes", tuple(columns))
 
 

@@ -81,24 +81,13 @@ def versions() -> Iterator[tuple[str, str]]:
             continue
 
 
-#: Headings of the pages by the type of their result; the page of a loop has the title of its test.
-HEADINGS = {
-    "Identification": "Identified frame",
-    "RecordPrediction": "Predicted response",
-    "Reconstruction": "Reconstructed response",
-    "History": "History of a frame",
-    "Plan": "Planned test",
-    "NoiseStudy": "Scatter under noise",
-}
-
-
 def render(result: Any, command: str, comparison: Comparison | None = None, failed: Sequence[str] = ()) -> str:
     """Write the report of a result as HTML.
 
     Parameters
     ----------
     result : object, or list of ModalResult
-        A result of a loop, or of one of the types in `HEADINGS`.
+        A result of a loop, or of another type whose description has a heading.
     command : str
         Command line that writes this report.
     comparison : Comparison, optional
@@ -130,7 +119,7 @@ def render(result: Any, command: str, comparison: Comparison | None = None, fail
         template = "modal_report.html"
         contents |= {"title": ", ".join(each.name for each in results), "documents": documents, "failed": failed}
     else:
-        template, contents["heading"] = "described.html", HEADINGS[type(first).__name__]
+        template, contents["heading"] = "described.html", documents[0].heading
     written = json_text(as_json(results if isinstance(first, ModalResult) else first), indent=1)
     found = environment().get_template(template)
     return found.render(**contents, command=command, result_json=written, versions=list(versions()))

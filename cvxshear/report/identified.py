@@ -283,7 +283,7 @@ def _identification(result: results.Identification) -> blocks.Document:
     worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
     ended = "" if result.converged else ", not converged"
     line = f"{title}: {result.method}, {stories}, largest frequency error {worst}{ended}"
-    return blocks.Document(title, _identification_headline(result), sections, data, line)
+    return blocks.Document(title, _identification_headline(result), sections, data, line, "Identified frame")
 
 
 def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:

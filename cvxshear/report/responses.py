@@ -64,7 +64,7 @@ def _prediction(result: RecordPrediction) -> blocks.Document:
         blocks.section("remarks", "", *blocks.warnings(result.remarks)),
     )
     title, headline = result.after.fitted.experiment.name, quantities.capital("; ".join(_predicted(result)))
-    return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks)))
+    return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks)), heading="Predicted response")
 
 
 def _peak_data(found: Peaks, *more: blocks.Column) -> Iterator[blocks.Table]:
@@ -200,7 +200,8 @@ def _reconstruction(result: Reconstruction) -> blocks.Document:
         *(blocks.exact(f"probability_beyond_{name}", each) for name, _, each in _passed(result)),
     ]
     title, headline = result.fitted.experiment.name, quantities.capital("; ".join(_findings(result)))
-    return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks, *more)))
+    data = tuple(_peak_data(result.peaks, *more))
+    return blocks.Document(title, headline, sections, data, heading="Reconstructed response")
 
 
 def _findings(result: Reconstruction) -> Iterator[str]:
@@ -421,9 +422,7 @@ def _csv(result: Moved) -> bytes:
     record = result.recording if isinstance(result, Reconstruction) else result.motion
     units = SERIES_UNITS | {"excitation": "N" if record.input == "force" else "m/s2"}
     heads = [f"{name} ({unit})" if (unit := units.get(re.sub(r"_std|_\d+", "", name))) else name for name in columns]
-    np.savetxt(
-        out, np.column_stack(list(columns.values())), delimiter=",", header=",".join(heads), comments="", fmt="%.9g"
-    )
+    np.savetxt(out, np.array([*columns.values()]).T, delimiter=",", header=",".join(heads), comments="", fmt="%.9g")
     return out.getvalue().encode()
 
 

@@ -34,7 +34,7 @@ def _history(result: History) -> blocks.Document:
         for each in result.changes
     ]
     headline = f"{title}, {tests}: {'; '.join(said) or 'no change is more than scatter'}"
-    return blocks.Document(title, headline, sections, (history_data(result),))
+    return blocks.Document(title, headline, sections, (history_data(result),), heading="History of a frame")
 
 
 def _changes(result: History) -> Iterator[blocks.Block | str]:
@@ -103,7 +103,7 @@ def _plan(result: Plan) -> blocks.Document:
         blocks.section("tests", "The tests", modes, added_masses(result), grid(result)),
         blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
-    return blocks.Document(design.name, headline, tuple(sections), (floors_data(result),))
+    return blocks.Document(design.name, headline, tuple(sections), (floors_data(result),), heading="Planned test")
 
 
 def floors_data(result: Plan) -> blocks.Table:
@@ -275,7 +275,8 @@ def _study(result: NoiseStudy) -> blocks.Document:
     setups = quantities.counted(len({id(each.setup) for each in result.scatters}), "setup")
     methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
     headline = f"{setups}, {quantities.counted(result.samples, 'sample')} each, by {methods}"
-    return blocks.Document("noise study", headline, (levels_section,), (scatter_data(result),))
+    data = (scatter_data(result),)
+    return blocks.Document("noise study", headline, (levels_section,), data, heading="Scatter under noise")
 
 
 def scatter_data(result: NoiseStudy) -> blocks.Table:

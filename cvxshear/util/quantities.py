@@ -200,10 +200,7 @@ def per_force(value: float, std: float | None, unit: str) -> str:
     unit : str
         Unit with N in the denominator, such as "m/N" or "rad/(N m)".
     """
-    factor, prefix = next(
-        ((factor, prefix) for factor, prefix in reversed(PREFIXES) if abs(value) * factor >= LEAST_PER_FORCE),
-        PREFIXES[0],
-    )
+    factor, prefix = next((each for each in reversed(PREFIXES) if abs(value) * each[0] >= LEAST_PER_FORCE), PREFIXES[0])
     above, line, below = unit.partition("/")
     unit = f"{above}{line}{below.replace('N', f'{prefix}N', 1)}"
     return with_std(value * factor, None if std is None else std * factor, unit, 1.0)
@@ -242,10 +239,7 @@ def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
 def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
     """Choose a factor and a prefixed unit in which the values are easy to read."""
     largest = max((abs(value) for value in values if not math.isnan(value)), default=1.0)
-    for factor, prefix in PREFIXES:
-        if largest >= 10 * factor or factor == 1.0:
-            return factor, f"{prefix}{unit}"
-    return 1.0, unit
+    return next((size, f"{prefix}{unit}") for size, prefix in PREFIXES if largest >= 10 * size or not prefix)
 
 
 def counted(number: int, noun: str) -> str:

@@ -225,10 +225,15 @@ def test_the_inequalities_that_hold_the_minimizer_are_found_from_any_guess(start
     held = expected.point.w > 0
     w = {"none": np.zeros(20), "all": np.full(20, 10.0), "wrong signs": np.where(held, -1.0, 10.0)}[start]
     w[10:] = 0.0 if start == "all" else w[10:]
-    found = minimizer(Assembled(program), Point(np.clip(free, program.lower, program.upper), np.zeros(0), w))
+    near = Point(np.clip(free, program.lower, program.upper), np.zeros(0), w)
+    found = minimizer(Assembled(program), near)
     np.testing.assert_allclose(found.point.x, expected.x, atol=1e-12)
     np.testing.assert_array_equal(found.point.w > 0, held)
     np.testing.assert_allclose(found.point.w, expected.point.w, atol=1e-10)
+    # Rows in other units have other multipliers and the same bounds.
+    G, h = program.inequalities
+    scaled = minimizer(Assembled(LeastSquares(R, s, G=1e8 * G, h=1e8 * h)), dataclasses.replace(near, w=1e-8 * w))
+    np.testing.assert_allclose(scaled.errors, found.errors, rtol=0.1)
 
 
 def test_the_same_bound_said_twice_holds_the_minimizer_like_one():
@@ -311,7 +316,7 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (40, 3)])
+@pytest.mark.parametrize(("n", "constraints"), [(1, 0), (5, 0), (5, 1), (5, 2), (40, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly."""
     rng = np.random.default_rng(n + constraints)

@@ -498,6 +498,7 @@ def test_a_wrong_statement_has_an_error_for_each_of_its_rows():
     wrong = one("wrong_prior")
     names = [[each.name for each in wrong.bound_at(of, place).parameters] for place in wrong.places(of)]
     assert names == [["e"], ["e1", "e2", "e3"]]
+    assert one("wrong_exact_prior").places(of) == []
 
 
 def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():

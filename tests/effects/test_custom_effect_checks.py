@@ -112,10 +112,6 @@ def complaint(*of):
     return ""
 
 
-def test_a_sound_effect_takes_part():
-    assert complaint(Cable()) == ""
-
-
 @pytest.mark.parametrize("stories", [1, 2, 5])
 @pytest.mark.parametrize("states", [1, 3])
 def test_what_comes_with_the_package_takes_part(stories, states):

@@ -184,10 +184,6 @@ def test_the_differences_between_the_structures():
         assert largest == pytest.approx(reproduction.value(PRINTED["conclusions"][key]), abs=5.01e-3)
 
 
-def test_the_initial_masses_add_up_to_the_frames():
-    assert [sum(start) for start in PRINTED["initial_mass"].values()] == [22.5, 22.5]
-
-
 def test_a_printed_figure_knows_its_decimals():
     assert [reproduction.decimals(text) for text in ("10", "7.5", "-0.004", "3.030")] == [0, 1, 3, 3]
     assert reproduction.value("about 5") == 5.0

@@ -287,8 +287,16 @@ def core(priors, *, frame=TOTAL, stories=2, quantity="floor_mass"):
     return names.split("; ")
 
 
-def test_no_contradiction():
-    priors = [Bounds("floor_mass", lower=5.0, upper=20.0), Ratio("floor_mass", of=2, to=1, value=2.0)]
+@pytest.mark.parametrize(
+    "priors",
+    [
+        [Bounds("floor_mass", lower=5.0, upper=20.0), Ratio("floor_mass", of=2, to=1, value=2.0)],
+        [Value("floor_mass", at=1, value=each, std=0.01) for each in (10.0, 20.0)],
+        [Value("story_stiffness", at=1, value=each) for each in (1.0, 2.0)],
+    ],
+    ids=["possible", "soft", "of the other quantity"],
+)
+def test_no_contradiction(priors):
     parts = statements(priors, "floor_mass", 2, TOTAL)
     refuse_contradictions(parts, 2)
     assert feasible(parts, 2)
@@ -339,22 +347,6 @@ def test_whatever_the_unit_a_contradiction_is_found_and_nothing_else(size):
     refuse_contradictions(statements([design, first, right], "story_stiffness", 2), 2)
     names = core([design, first, wrong], quantity="story_stiffness", frame=None)
     assert names == [f"prior: {prior.describe()}" for prior in (design, first, wrong)]
-
-
-def test_soft_priors_contradict_nothing():
-    priors = [Value("floor_mass", at=1, value=10.0, std=0.01), Value("floor_mass", at=1, value=20.0, std=0.01)]
-    parts = statements(priors, "floor_mass", 2, TOTAL)
-    refuse_contradictions(parts, 2)
-    assert feasible(parts, 2)
-    assert len(core([Value("floor_mass", at=1, value=each) for each in (10.0, 20.0)])) == 2
-
-
-def test_priors_on_the_other_quantity_are_left_out():
-    priors = [Value("story_stiffness", at=1, value=1.0), Value("story_stiffness", at=1, value=2.0)]
-    parts = statements(priors, "floor_mass", 2, TOTAL)
-    refuse_contradictions(parts, 2)
-    assert [part.name for part in parts] == [part.name for part in statements((), "floor_mass", 2, TOTAL)]
-    assert len(core(priors, quantity="story_stiffness")) == 2
 
 
 def test_the_set_named_is_a_smallest_one():

@@ -5,6 +5,8 @@ import pytest
 
 import cvxshear
 from cvxshear import programs
+from cvxshear.motions import THREE_MOTIONS, products
+from cvxshear.programs.turning import TurningTest
 from tests.fe.plan_frames import random_frame
 
 
@@ -40,6 +42,33 @@ def test_added_masses_at_their_places_are_known():
     masses = programs.one_shot_masses(declared).solve("kkt").x
     assert_close(masses, expected_masses(frame), 4, 1e-8)
     assert_close(programs.story_stiffnesses(declared, masses).solve("kkt").x, expected_stiffnesses(frame), 6, 1e-8)
+
+
+def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
+    """Every reading is moved by its deviation; the rows are bilinear, so that central differences are exact."""
+    experiment = random_frame(2, 4).experiment(noise=0.01, seed=4, std=0.01)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    rows = test.stiffness_rows(test.even_masses)
+    modes, expected = test.normalized(test.even_masses), np.zeros((12, 12))
+
+    def moved(step):
+        drifts = THREE_MOTIONS.relative(modes + step)
+        return rows.weights[:, None] * products(drifts, drifts, THREE_MOTIONS.stiffness_basis)[rows.pairs]
+
+    for mode, reading in np.ndindex(rows.std.shape):
+        step = np.outer(rows.std[mode, reading] * test.inverse[:, reading], np.arange(len(modes)) == mode)
+        change = 0.5 * (moved(step) - moved(-step))
+        expected += change.T @ change
+    np.testing.assert_allclose(rows.noise, expected, atol=1e-9 * np.max(expected))
+
+
+def test_what_no_sensor_sees_does_not_move():
+    """Oblique sensors at the reference points see no rotation; a pseudoinverse alone would round its zeros."""
+    sensors = [{"floor": at, "position": [0.0, 0.0], "direction": angle} for at in (1, 2, 3) for angle in (20.0, 75.0)]
+    experiment = random_frame(3, 1).experiment(sensors=sensors)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    assert test.unseen == ("rotation",)
+    assert not np.any(test.shapes[2::3])
 
 
 def violated(seed=3, noise=0.002):
@@ -120,7 +149,7 @@ def test_a_plan_bounds_the_mass_centers_and_gives_soft_rows():
     program = programs.one_shot_masses(frame.experiment(plan=True))
     half = np.array(frame.plan) / 2
     floor = np.concatenate([[1e3], 1e3 * half * 0.999, [1e9]])
-    assert np.all(program.G @ np.concatenate([floor, floor]) <= program.h)
+    assert np.all(program.G @ np.concatenate([floor, floor * [1, -1, -1, 1]]) <= program.h)
     assert np.any(program.G @ np.concatenate([floor, floor * [1, 1.01, 1, 1]]) > program.h)
     uniform = np.array([1e3, 0.0, 0.0, 1e3 * np.sum(np.square(frame.plan)) / 12])
     R, s = program.weighted

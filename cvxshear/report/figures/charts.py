@@ -38,8 +38,8 @@ def changes_over_time(result: History) -> Figure:
         ("damping ratio", "mode", result.by_mode("damping_ratios")),
     )
     groups = [(label, word, list(lines.items())[: len(style.MARKERS) - 1]) for label, word, lines in every if lines]
-    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * len(groups) + 0.5)
-    for axes, (label, word, lines) in zip(style.panels(figure, len(groups), 1, sharex=True), groups, strict=True):
+    figure, drawn = style.panels(len(groups), 1, 1.75, 0.5, sharex=True)
+    for axes, (label, word, lines) in zip(drawn, groups, strict=True):
         for (number, values), look in zip(lines, style.looks(len(lines)), strict=True):
             mean, std = float(np.nanmean(values)), None
             if word == "story":
@@ -141,9 +141,8 @@ def _panels(study: NoiseStudy, label: str) -> tuple[Figure, list[Axes], list[flo
     setups = [each.setup for each in next(iter(groups.values()))]
     numbers = range(1, setups[0].stories + 1)
     names = [f"{quantity} {number}" for quantity in ("floor mass", "story stiffness") for number in numbers]
-    rows, columns = style.grid_of(len(names), 3 if setups[0].stories % 4 else 4)
-    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * rows + 0.8)
-    drawn = style.panels(figure, len(names), columns, sharex=True)
+    columns = 3 if setups[0].stories % 4 else 4
+    figure, drawn = style.panels(len(names), columns, 1.75, 0.8, sharex=True)
     for place, (axes, name) in enumerate(zip(drawn, names, strict=True)):
         axes.set_title(name)
         if place % columns == 0:
@@ -154,6 +153,5 @@ def _panels(study: NoiseStudy, label: str) -> tuple[Figure, list[Axes], list[flo
 
 def _filling(place: int) -> dict[str, Any]:
     """Choose colour and hatch of the boxes of a method."""
-    return {
-        "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
-    }  # fmt: skip
+    colour, hatch = (each[place % len(each)] for each in (style.COLOURS, style.HATCHES))
+    return {"facecolor": colour, "hatch": hatch}

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 
 from cvxshear.effects import LocatedEffect
-from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
+from cvxshear.effects.open_class import STANDS_OUT, named_pair
 from cvxshear.effects.stories import SIDES
+from cvxshear.effects.whole_frame import separate_levels
 from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.fit.turning_floors import TurningFrame
 from cvxshear.loop import LoopResult
@@ -99,12 +100,12 @@ def findings(result: LoopResult) -> Figure:
     if not result.effects:
         return _numbered_frames(result.experiment, [("", result.averaged)], sensors=True)
     states = _shown_states(result)
-    rows, columns = style.grid_of(len(states), 2)
+    columns = min(len(states), 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
     lines = max(sum(mark.lines for mark in each) for each in marks)
     height = float(np.clip(max(result.experiment.stories * 0.36, lines * style.LINE), 1.9, 6.5))
-    drawn = style.new_figure(style.PAGE_WIDTH if columns > 1 else 5.4, rows * (height + 0.7))
-    every = style.panels(drawn, len(states), columns, sharey=True)
+    width = style.PAGE_WIDTH if columns > 1 else 5.4
+    drawn, every = style.panels(len(states), columns, height + 0.7, width=width, sharey=True)
     for axes, state, each in zip(every, states, marks, strict=True):
         _state(axes, result, state, each, height)
     for axes in every[::columns]:
@@ -162,7 +163,7 @@ def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]
 
 def _joined(item: AddedEffect, experiment: Experiment) -> tuple[tuple[int, int], ...]:
     """Find the pairs of levels that an effect joins by springs above `STANDS_OUT` standard deviations."""
-    known = {named_pair(i, j): (i, j) for i, j in pairs(experiment.stories, ground=True)}
+    known = {named_pair(i, j): (i, j) for i, j in separate_levels(experiment.stories)}
     if not set(item.parameters) <= set(known) or set(item.placed.units(experiment)) != {"N/m"}:
         return ()
     sure = (name for name, value in item.parameters.items() if abs(value) > STANDS_OUT * (item.std[name] or np.inf))
@@ -301,12 +302,11 @@ def _numbered_frames(
     experiment: Experiment, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
 ) -> Figure:
     """Draw frames with their numbers and titles."""
-    rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(experiment.stories * 2 * style.LINE, 2.2, 8.0))
-    drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
+    drawn, every = style.panels(len(frames), 2, height + 0.75, width=style.PAGE_WIDTH * min(len(frames), 2))
     z, label = elevations(experiment)
     at = left, right = 0.46, 0.57
-    for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
+    for axes, (title, found) in zip(every, frames, strict=True):
         _structure(axes, found, z, at)
         if sensors:
             _sensors(axes, experiment, None, z, at)
@@ -465,8 +465,7 @@ def _plan_panels(count: int, outline: Floats) -> tuple[Figure, list[Axes]]:
     columns = style.even_columns(count, 3)
     wide, high = np.ptp(outline, axis=0)
     panel = style.PAGE_WIDTH / columns * float(np.clip(high / wide, 0.4, 1.5)) + 0.5
-    drawn = style.new_figure(style.PAGE_WIDTH, panel * -(-count // columns) + 0.5)
-    panels = style.panels(drawn, count, columns, sharex=True, sharey=True)
+    drawn, panels = style.panels(count, columns, panel, 0.5, sharex=True, sharey=True)
     for axes in panels:
         axes.set_aspect("equal")
         axes.tick_params(labelsize=7)

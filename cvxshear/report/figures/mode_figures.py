@@ -157,11 +157,9 @@ def _shape_panels(
     """Make a panel for each mode of each group up to the highest level, with the labels of the axes."""
     # A panel of a shape is narrow: one more fits into a row.
     columns = style.even_columns(max(counts), style.MOST_PANELS + 1)
-    rows = sum(-(-count // columns) for count in counts)
     # A panel has its title of three lines, and a line for each story.
-    height = rows * (float(np.clip(len(levels), 9, 17)) + 3.5) + 5
-    figure = style.new_figure(style.PAGE_WIDTH, style.LINE * height)
-    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    row = style.LINE * (float(np.clip(len(levels), 9, 17)) + 3.5)
+    figure, groups = style.panels_by_group(counts, columns, row, 5 * style.LINE, sharex=True, sharey=True)
     for group in groups:
         for axes in group[::columns]:
             axes.set_ylabel(label)
@@ -222,10 +220,8 @@ def mac(result: LoopResult | Identification) -> Figure:
     """
     tested, every = result.experiment.configurations, range(1, result.experiment.stories + 1)
     most = 3 if len(every) <= 4 else 2
-    rows, columns = style.grid_of(len(tested), most)
     side = style.PAGE_WIDTH / most
-    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = style.panels(figure, len(tested), columns)
+    figure, drawn = style.panels(len(tested), most, side + 0.3, width=side * min(len(tested), most) + 0.9)
     for axes, test, (name, table) in zip(drawn, tested, mac_tables(result), strict=True):
         image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
         step = 1 if len(every) <= 10 else 2
@@ -289,8 +285,8 @@ def stabilization(*results: ModalResult) -> Figure:
         If a result has no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
-    figure = style.new_figure(max(style.PAGE_WIDTH, style.LINE * most + 1.4), 3.4 * len(results) + 0.5)
-    for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
+    figure, drawn = style.panels(len(results), 1, 3.4, 0.5, width=max(style.PAGE_WIDTH, style.LINE * most + 1.4))
+    for axes, result in zip(drawn, results, strict=True):
         assert result.sweep is not None
         _poles(axes, result.sweep)
         top = max(poles.order for poles in result.sweep.poles)
@@ -348,8 +344,7 @@ def modes_over_amplitude(*results: ModalResult) -> Figure:
     -------
     Figure
     """
-    figure = style.new_figure(style.PAGE_WIDTH, 4.0)
-    above, below = style.panels(figure, 2, 1, sharex=True)
+    figure, (above, below) = style.panels(2, 1, 2.0, sharex=True)
     at = [result.amplitude or 0.0 for result in results]
     modes = list(over_amplitude(results).items())[: len(style.MARKERS) - 1]
     for (mode, (frequencies, damping, _)), look in zip(modes, style.looks(len(modes)), strict=True):
@@ -402,9 +397,8 @@ def functions(*results: ModalResult) -> Figure:
     every = [result.functions for result in results if result.functions is not None]
     counts = [len(seen.floors) for seen in every]
     columns = style.even_columns(max(counts), 4 if max(counts) > 9 else 3)
-    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * sum(-(-count // columns) for count in counts) + 0.7)
+    figure, groups = style.panels_by_group(counts, columns, 1.75, 0.7)
     figure.supxlabel("frequency, Hz", fontsize=8.5)
-    groups = style.panels_by_group(figure, counts, columns)
     for result, seen, drawn in zip(results, every, groups, strict=True):
         made = synthesized(result)
         name = FUNCTIONS[seen.quantity] if seen.inputs[0] else f"{seen.quantity} / base acceleration"

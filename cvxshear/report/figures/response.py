@@ -83,8 +83,8 @@ def response_histories(result: RecordPrediction) -> Figure:
     run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
     driven = result.motion.runs[run]
     time = result.after.responses[run].time[window]
-    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(floors) + 0.9)
-    for axes, floor in zip(style.panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
+    figure, every = style.panels(len(floors), 1, 1.35, 0.9, sharex=True, sharey=True)
+    for axes, floor in zip(every, floors, strict=True):
         if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
             axes.plot(time, driven.responses[window, column], color=style.MEASURED, lw=1.8, label="measured")
@@ -132,8 +132,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
     n = len(result.after.damped.model.M)
     floors = np.arange(1, n + 1)
     measured = [driven.responses for driven in result.motion.runs if driven.responses is not None]
-    figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
-    every = style.panels(figure, len(shown), len(shown), sharey=True)
+    figure, every = style.panels(len(shown), len(shown), min(1.6 + 0.32 * n, 6.0), sharey=True)
     for axes, name in zip(every, shown, strict=True):
         values, std, unit = result.peaks.values[name], result.peaks.std[name], RESPONSES[name].unit
         factor, label = (1e-3, "mm") if unit == "m" else scaled(values.tolist(), unit)
@@ -144,9 +143,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
         )  # fmt: skip
         if name == "floor_acceleration" and measured:
             top = np.max([np.max(np.abs(each), axis=0) for each in measured], axis=0)
-            axes.plot(
-                top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured"
-            )
+            axes.plot(top, result.motion.floors, "o", color=style.MEASURED, mfc="white", label="measured")
         axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
@@ -178,8 +175,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     middle = 0.5 * (levels[1:] + levels[:-1])
-    figure = style.new_figure(style.PAGE_WIDTH, style.LINE * (2 * min(len(peaks), 24) + 8))
-    axes = figure.subplots()
+    figure, (axes,) = style.panels(1, 1, style.LINE * (2 * min(len(peaks), 24) + 8))
     for level in levels:
         axes.axhline(level, color=style.GREY, lw=0.8, zorder=0)
     axes.errorbar(peaks, middle, xerr=band, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed")
@@ -228,8 +224,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
     stories = _drawn_stories(result)
-    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(stories) + 0.9)
-    for axes, story in zip(style.panels(figure, len(stories), 1, sharex=True), stories, strict=True):
+    figure, every = style.panels(len(stories), 1, 1.35, 0.9, sharex=True)
+    for axes, story in zip(every, stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * NORMAL_95 * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set(title=f"story {story}", ylabel="mm")
@@ -331,8 +327,7 @@ def _moving_plans(
 
 def _modes(found: dict[int, tuple[float, str, list[str]]], caption: str) -> Json:
     """Draw modes in motion: frequency, words, and paths of an SVG at both ends and at rest, by the mode's number."""
-    rows, columns = style.grid_of(len(found), style.MOST_PANELS)
-    panels = []
+    panels, columns = [], min(len(found), style.MOST_PANELS)
     for place, (mode, (frequency, said, (one, other, rest))) in enumerate(sorted(found.items())):
         label = f"mode {mode}: {frequency:#.4g} Hz"
         slow = 'calcMode="spline" keyTimes="0;.5;1" keySplines=".4 0 .6 1;.4 0 .6 1"'
@@ -344,7 +339,7 @@ def _modes(found: dict[int, tuple[float, str, list[str]]], caption: str) -> Json
         "section": "shapes",
         "caption": f"{caption} All sway at one speed and equally far.",
         "alternative": "The mode shapes in motion; another figure shows the same shapes.",
-        "svg": _svg(panels, columns, rows),
+        "svg": _svg(panels, columns, -(-len(found) // columns)),
         "moves": True,
     }
 

@@ -133,23 +133,32 @@ def new_figure(width: float, height: float) -> Figure:
     return ShownFigure(figsize=(width, height), layout="constrained")
 
 
-def grid_of(panels: int, columns: int) -> tuple[int, int]:
-    """Compute the rows and columns for a number of panels."""
-    columns = max(1, min(columns, panels))
-    return -(-panels // columns), columns
-
-
-def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sharey: bool = False) -> list[Axes]:
-    """Make `count` panels in a grid; unused places stay empty."""
-    return panels_by_group(figure, [count], columns, sharex=sharex, sharey=sharey)[0]
+def panels(count: int, columns: int, row: float, more: float = 0.0, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Make a figure of `count` panels in a grid, as `panels_by_group` does; unused places stay empty."""
+    figure, groups = panels_by_group([count], columns, row, more, **options)
+    return figure, groups[0]
 
 
 def panels_by_group(
-    figure: Figure, counts: Sequence[int], columns: int, *, sharex: bool = False, sharey: bool = False
-) -> list[list[Axes]]:
-    """Make panels for each group; each group begins a new row."""
-    columns = max(1, min(columns, max(counts)))
+    counts: Sequence[int], columns: int, row: float, more: float = 0.0, *, width: float = PAGE_WIDTH,
+    sharex: bool = False, sharey: bool = False,
+) -> tuple[Figure, list[list[Axes]]]:  # fmt: skip
+    """Make a figure with panels for each group; each group begins a new row.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        Number of panels of each group.
+    columns : int
+        Largest number of panels in a row.
+    row, more, width : float
+        Height of a row, height beside all rows, and width, inch.
+    sharex, sharey : bool, optional
+        Whether all panels have the same axis.
+    """
+    columns = min(columns, max(counts))
     rows = [-(-count // columns) for count in counts]
+    figure = new_figure(width, sum(rows) * row + more)
     grid = figure.subplots(sum(rows), columns, squeeze=False, sharex=sharex, sharey=sharey)
     groups: list[list[Axes]] = []
     lowest: dict[int, Axes] = {}
@@ -163,7 +172,7 @@ def panels_by_group(
         # The lowest panel of each column shows the tick labels, also above empty places of the grid.
         for axes in lowest.values():
             axes.tick_params(labelbottom=True)
-    return groups
+    return figure, groups
 
 
 def legend(figure: Figure, columns: int | None = None, *, left: bool = False) -> None:
