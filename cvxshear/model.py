@@ -239,23 +239,8 @@ class SummedSystem(System):
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
     """Assemble the shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
-    # The sums of `affine_system`, without its products of matrices.
     dM, dK = unit_derivatives(ONE_MOTION, len(floor_mass))
     return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
-
-
-def affine_system(motions: Motions, masses: Floats, stiffnesses: Floats) -> System:
-    """Assemble a frame of any motions per floor, with derivatives by the parameters of every floor, then every story.
-
-    Parameters
-    ----------
-    motions : Motions
-        Of N floors with d motions each.
-    masses, stiffnesses : ndarray, shapes (N q,) and (N p,)
-        The lowest floor or story first.
-    """
-    dM, dK = unit_derivatives(motions, len(masses) // len(motions.mass_basis))
-    return System(M=motions.masses(masses), K=motions.stiffnesses(stiffnesses), dM=dM, dK=dK)
 
 
 @dataclass(frozen=True, eq=False)
