@@ -164,19 +164,13 @@ def details(
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
     if products is not None and setting.driving_point:
-        found = [
-            frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.record.floors, driven)
-            for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
-        ]
+        # Without the turns of the clocks of the channels and of the force.
+        turns = undone(values.eigenvalues, np.ones_like(shapes), late.seconds - late.seconds[-1])
+        each = zip(products * turns[:, :, None], real, strict=True)
+        found = [frf.modal_scale(product, shape, setting.record.floors, driven) for product, shape in each]
         known = [scale for scale in found if scale is not None]
         scales = np.array(known) if len(known) == len(found) else None
     return Details(values.eigenvalues + setting.record.window_decay, shapes, real, scales, late, products, driven)
-
-
-def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> Complexes:
-    """Products of one mode without the turns of the clocks of the channels and of the force."""
-    late = seconds[: len(products)] - seconds[-1]
-    return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
 
 
 def _products(setting: Replication, values: picking.Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
@@ -219,9 +213,8 @@ def _widened(spread: Floats, other: Floats) -> Floats:
     The scatter of three pieces alone is unreliable: chance often makes it small.
     """
     std, least = np.sqrt(np.diag(spread)), np.sqrt(np.diag(other))
-    factor = np.where(std > 0, np.maximum(1.0, least / np.where(std > 0, std, 1.0)), 1.0)
-    missing = np.where(std > 0, 0.0, least)
-    return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
+    factor = np.divide(np.maximum(std, least), std, out=np.ones_like(std), where=std > 0)
+    return np.asarray(spread * np.outer(factor, factor))
 
 
 def disturbed(setting: Replication, full: Details) -> Floats:
@@ -263,9 +256,9 @@ NOTICEABLE = 0.01
 
 def leakage_findings(setting: Replication, full: Details) -> Iterator[Finding]:
     """Report responses of a table of functions that had not decayed at the end of the window."""
-    source, record = setting.source, setting.record
-    if isinstance(record, FrfRecord) and isinstance(source, frf.FrfSource):
-        length = source.samples / source.sampling_rate
+    record = setting.record
+    if isinstance(record, FrfRecord):
+        length = 1.0 / record.step
         left = np.abs(np.exp((full.eigenvalues - record.window_decay) * length))
         mode = ranking.first_largest(left) + 1
         if left.max() >= NOTICEABLE:

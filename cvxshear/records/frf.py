@@ -249,20 +249,20 @@ def _pairs(energies: Floats) -> float:
 class ImpulseSource(pole_sweep.Source):
     """Impulse responses or free decays as they stand, for the eigensystem realization algorithm.
 
+    Three or more columns, the decays from several releases, can be left out one at a time.
+
     Parameters
     ----------
     impulse : Impulse
     sampling_rate : float
         Hz.
-    releases : bool, optional
-        Whether the columns are decays from several releases; three or more can be left out one at a time.
     """
 
-    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float, *, releases: bool = False) -> None:
+    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float) -> None:
         self._impulse = impulse
         self.sampling_rate = sampling_rate
         _, self.outputs, columns = impulse.sequence.shape
-        several = releases and columns >= 3
+        several = columns >= 3
         self.unit = "release" if several else "none"
         self.groups = np.zeros(columns if several else 0, dtype=np.int64)
         self.energies = np.mean(impulse.sequence**2, axis=(0, 1))

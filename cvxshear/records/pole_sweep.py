@@ -376,11 +376,6 @@ def _distance(before: Poles, i: int, after: Poles, j: int) -> float:
     return float(change + 0.1 * (1 - mac(before.shapes[i], after.shapes[j])))
 
 
-def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
-    """Share of the sweep's orders, from the cluster's first on, that hold a member."""
-    return len(cluster) / (len(sweep) - cluster[0][0])
-
-
 def undivided(
     cluster: Cluster, sweep: Sequence[Poles], criteria: Criteria, shift: float = 0.0
 ) -> list[tuple[int, int]]:
