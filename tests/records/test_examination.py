@@ -180,7 +180,7 @@ def test_the_input_is_named_where_most_floors_move_against_it():
     assert [item.numbers["channel"] for item in examined(record).findings if item.kind == "sign"] == ["input"]
 
 
-@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False)])
+@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False), (1.5, False)])
 def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
     """The table has no motion below this multiple of the first frequency; floor 2 is reversed, floor 3 is in g."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
