@@ -335,14 +335,9 @@ def hit_start(run: Run) -> int:
     """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
     assert run.excitation is not None
     force = np.abs(run.excitation)
-    loud = np.flatnonzero(force > 0.02 * force.max())
-    blow = int(np.argmax(force))
-    start = blow
-    for place in loud[loud <= blow][::-1]:
-        if place < start - 3:
-            break
-        start = int(place)
-    return max(0, start - RINGING)
+    loud = np.flatnonzero(force[: np.argmax(force) + 1] >= 0.02 * force.max())
+    together = np.split(loud, np.flatnonzero(np.diff(loud) > 3) + 1)
+    return max(0, int(together[-1][0]) - RINGING)
 
 
 def _quiet_after_blow(force: Floats) -> Floats:
@@ -350,8 +345,7 @@ def _quiet_after_blow(force: Floats) -> Floats:
 
     The usual force window: outside the blow the force is nought, and what the sensor shows is noise.
     """
-    loud = np.abs(force) > 0.25 * np.max(np.abs(force))
-    first, last = int(np.argmax(loud)), len(loud) - 1 - int(np.argmax(loud[::-1]))
+    first, last = np.flatnonzero(np.abs(force) >= 0.25 * np.max(np.abs(force)))[[0, -1]].tolist()
     margin = max(RINGING, 3 * (last - first + 1))
     window = np.zeros(len(force))
     window[max(0, first - margin) : last + margin + 1] = 1.0

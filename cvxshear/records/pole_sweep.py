@@ -99,7 +99,7 @@ class Impulse:
     start: int
     driven: Ints
     wrapped: bool = False
-    pulse: Floats | None = None
+    pulse: Floats = dataclasses.field(default_factory=lambda: np.ones((1, 1)))
 
     def amplitudes(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
         """Fit Y_k = sum_r 2 Re(c_r z_r^k), k >= start, by least squares; c has the shape (modes, outputs, inputs)."""
@@ -111,8 +111,6 @@ class Impulse:
 
     def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
         """Return the pulses' transforms at eigenvalues in 1/s, the factors of the residues, shape (modes, inputs)."""
-        if self.pulse is None:
-            return np.ones((len(eigenvalues), len(self.driven)), dtype=np.complex128)
         steps = np.outer(eigenvalues, np.arange(1, len(self.pulse))) / sampling_rate
         return np.asarray(self.pulse[0] + 2 * np.cosh(steps) @ self.pulse[1:])
 
@@ -389,10 +387,9 @@ def undivided(
         poles = sweep[i]
         twins = [
             k
-            for k in range(len(poles.eigenvalues))
+            for k in plausible(poles, np.inf, criteria.highest_damping, shift)
             if k != j
             and abs(poles.frequencies[k] - poles.frequencies[j]) < 0.05 * poles.frequencies[j]
-            and 0 < -(poles.eigenvalues[k].real + shift) / abs(poles.eigenvalues[k]) < criteria.highest_damping
             and mac(poles.shapes[k], poles.shapes[j]) > criteria.shape_agreement
         ]
         if not twins:
