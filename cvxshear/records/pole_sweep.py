@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 
@@ -224,23 +223,14 @@ def _poles(
     basis: Floats, gram: Floats, shift: Floats, states: int, order: int, outputs: int, sampling_rate: float
 ) -> Poles:
     """Poles and shapes of a model with a given number of states."""
-    transition = _least_squares(gram[:states, :states], shift[:states, :states])
+    # pinv(U) U' from products; columns that depend on each other leave the least solution.
+    transition = np.linalg.lstsq(gram[:states, :states], shift[:states, :states], rcond=None)[0]
     discrete, vectors = linalg.eig(transition)
     # A pole at the origin is a pure delay and has no continuous-time counterpart.
     used = (discrete.imag > 0) & (np.abs(discrete) > 1e-6)
     eigenvalues = np.log(discrete[used]) * sampling_rate
     shapes = (basis[:outputs, :states] @ vectors[:, used]).T
     return Poles(order, eigenvalues, normalized(shapes))
-
-
-def _least_squares(gram: Floats, shift: Floats) -> Floats:
-    """pinv(U) U' from the products U'U and U'U'; columns that depend on each other leave the least solution."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", linalg.LinAlgWarning)
-        try:
-            return np.asarray(linalg.solve(gram, shift, assume_a="pos"))
-        except (linalg.LinAlgError, linalg.LinAlgWarning):
-            return np.asarray(np.linalg.lstsq(gram, shift, rcond=None)[0], dtype=np.float64)
 
 
 def normalized(shapes: Complexes) -> Complexes:

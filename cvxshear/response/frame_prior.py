@@ -85,8 +85,6 @@ def modal_rows(frame: UncertainFrame, varied: VariedFrame) -> tuple[Floats, Floa
         return np.concatenate([np.zeros(0), *parts])
 
     centre = described(np.zeros(N + W + X))
-    if not len(centre):
-        return np.zeros((0, N + W + X)), np.zeros(0)
     J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
     # The sensors of the tests had other gains.
     J[:, N + W - varied.gains : N + W] = 0.0

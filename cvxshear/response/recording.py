@@ -56,10 +56,9 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
     match source:
         case DrivenRecord():
             channels = [Channel(f"floor {floor}", int(floor)) for floor in source.floors]
-            none = np.full((1, len(channels)), np.nan)
             record = source.replaced(
                 responses=(
-                    np.repeat(none, run.samples, axis=0) if run.responses is None else run.responses
+                    np.full((run.samples, len(channels)), np.nan) if run.responses is None else run.responses
                     for run in source.runs
                 )
             )
