@@ -347,7 +347,8 @@ def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: 
             for number, cluster in enumerate(found):
                 i0, j0 = cluster[-1]
                 if _alike(sweep[i0], j0, sweep[place], j, criteria):
-                    pairs.append((_distance(sweep[i0], j0, sweep[place], j), number, j))
+                    moved = sweep[place].eigenvalues[j] / sweep[i0].eigenvalues[j0] - 1
+                    pairs.append((abs(moved), number, j))
         joined: set[int] = set()
         grown: set[int] = set()
         for _, number, j in sorted(pairs):
@@ -357,11 +358,6 @@ def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: 
                 grown.add(number)
         found.extend([(place, j)] for j in indices if j not in joined)
     return found
-
-
-def _distance(before: Poles, i: int, after: Poles, j: int) -> float:
-    change = abs(after.eigenvalues[j] - before.eigenvalues[i]) / abs(before.eigenvalues[i])
-    return float(change + 0.1 * (1 - mac(before.shapes[i], after.shapes[j])))
 
 
 def undivided(
