@@ -23,8 +23,7 @@ def scattering(
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
-    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here. What follows the
-    strength of the motion, as the frequencies of real buildings do, is no scatter.
+    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here.
     """
     doubts: picking.Doubts = {}
     for item in chosen:
@@ -39,7 +38,7 @@ def scattering(
 
         pieces = len(parts.source.groups)
         try:
-            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights, parts.source.energies)
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
         except InputError:
             lost = pieces
         if 2 * lost > pieces:
@@ -412,9 +411,7 @@ def independent_std(covariance: Floats, shape: Floats) -> Floats:
 Estimate = Callable[[Bools], Floats | None]
 
 
-def jackknife(
-    estimate: Estimate, groups: Ints, weights: Floats, energies: Floats | None = None
-) -> tuple[Floats, Floats, int]:
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
     """Find the covariance by leaving out one piece at a time.
 
     Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
@@ -430,8 +427,6 @@ def jackknife(
         Stratum of each piece.
     weights : array, shape (pieces,)
         How much each piece tells.
-    energies : array, shape (pieces,), optional
-        Mean square motion of each piece. What follows its logarithm is left out of the covariance.
 
     Returns
     -------
@@ -449,7 +444,7 @@ def jackknife(
     """
     parts, freedoms, lost = [], [], 0
     for group in np.unique(groups):
-        found, rest, told = [], [], []
+        found, rest = [], []
         pieces = np.flatnonzero(groups == group)
         shares = weights[pieces] / weights[pieces].sum()
         for piece, share in zip(pieces, shares, strict=True):
@@ -461,15 +456,12 @@ def jackknife(
             else:
                 found.append(values)
                 rest.append(1 - share)
-                told.append(piece)
         if len(found) < 2:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
         spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
-        if energies is not None and len(found) > FEW_PIECES:
-            spread = _without_trend(spread, energies[told])
         parts.append(spread.T @ spread * len(pieces) / len(found))
         form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
         freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
@@ -477,19 +469,6 @@ def jackknife(
     squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
     freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
     return total, freedom, lost
-
-
-def _without_trend(spread: Floats, energies: Floats) -> Floats:
-    """Take from the changes that leaving pieces out makes what follows the strength of the motion.
-
-    The whole is nearly the mean of the pieces weighted by their energies, with the shares p. Leaving out piece j whose
-    own value differs by b log(e_j / e) changes it by -p_j / (1 - p_j) b log(e_j / e).
-    """
-    shares, level = energies / energies.sum(), np.log(energies)
-    follows = shares / (1.0 - shares) * (level - shares @ level)
-    follows = follows - follows.mean()
-    trend = np.outer(follows, follows @ spread) / max(float(follows @ follows), 1e-300)
-    return np.asarray((spread - trend) * np.sqrt((len(spread) - 1.0) / (len(spread) - 2.0)))
 
 
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:

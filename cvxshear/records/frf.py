@@ -171,7 +171,6 @@ class FrfSource(pole_sweep.Source):
         else:
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
-        self.energies = np.array([float(item.response_response.sum()) for item in spectra])
         self._roots: dict[int, Floats] = {}
         for floor in self.floors.tolist():
             power = Spectra.together([item for item in spectra if item.floor == floor]).force_force
@@ -265,7 +264,6 @@ class ImpulseSource(pole_sweep.Source):
         several = columns >= 3
         self.unit = "release" if several else "none"
         self.groups = np.zeros(columns if several else 0, dtype=np.int64)
-        self.energies = np.mean(impulse.sequence**2, axis=(0, 1))
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""

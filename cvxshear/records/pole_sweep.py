@@ -36,7 +36,7 @@ class Source(ABC):
     unit : str
         What a piece is: "block", "hit", "driving point".
     energies : array, shape (pieces,)
-        Mean square response of each piece.
+        Mean square response of each block; other pieces have none.
     """
 
     outputs: int
