@@ -549,9 +549,8 @@ def offsets(
         if np.count_nonzero(used & heard) >= 2:
             used = used & heard
     omega, shapes = omega[used], shapes[used]
-    participations = None if participations is None else participations[used]
     if participations is not None:
-        phasors = shapes * participations[:, None]
+        phasors = shapes * participations[used, None]
     else:
         floor = ranking.first_largest(np.min(np.abs(shapes), axis=0))
         phasors = shapes * np.conj(shapes[:, [floor]])

@@ -23,8 +23,7 @@ def scattering(
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
-    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here. What follows the
-    strength of the motion, as the frequencies of real buildings do, is no scatter.
+    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here.
     """
     doubts: picking.Doubts = {}
     for item in chosen:
@@ -39,7 +38,7 @@ def scattering(
 
         pieces = len(parts.source.groups)
         try:
-            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights, parts.source.energies)
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
         except InputError:
             lost = pieces
         if 2 * lost > pieces:
@@ -164,19 +163,13 @@ def details(
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
     if products is not None and setting.driving_point:
-        found = [
-            frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.record.floors, driven)
-            for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
-        ]
+        # Without the turns of the clocks of the channels and of the force.
+        turns = undone(values.eigenvalues, np.ones_like(shapes), late.seconds - late.seconds[-1])
+        each = zip(products * turns[:, :, None], real, strict=True)
+        found = [frf.modal_scale(product, shape, setting.record.floors, driven) for product, shape in each]
         known = [scale for scale in found if scale is not None]
         scales = np.array(known) if len(known) == len(found) else None
     return Details(values.eigenvalues + setting.record.window_decay, shapes, real, scales, late, products, driven)
-
-
-def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> Complexes:
-    """Products of one mode without the turns of the clocks of the channels and of the force."""
-    late = seconds[: len(products)] - seconds[-1]
-    return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
 
 
 def _products(setting: Replication, values: picking.Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
@@ -219,9 +212,8 @@ def _widened(spread: Floats, other: Floats) -> Floats:
     The scatter of three pieces alone is unreliable: chance often makes it small.
     """
     std, least = np.sqrt(np.diag(spread)), np.sqrt(np.diag(other))
-    factor = np.where(std > 0, np.maximum(1.0, least / np.where(std > 0, std, 1.0)), 1.0)
-    missing = np.where(std > 0, 0.0, least)
-    return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
+    factor = np.divide(np.maximum(std, least), std, out=np.ones_like(std), where=std > 0)
+    return np.asarray(spread * np.outer(factor, factor))
 
 
 def disturbed(setting: Replication, full: Details) -> Floats:
@@ -263,9 +255,9 @@ NOTICEABLE = 0.01
 
 def leakage_findings(setting: Replication, full: Details) -> Iterator[Finding]:
     """Report responses of a table of functions that had not decayed at the end of the window."""
-    source, record = setting.source, setting.record
-    if isinstance(record, FrfRecord) and isinstance(source, frf.FrfSource):
-        length = source.samples / source.sampling_rate
+    record = setting.record
+    if isinstance(record, FrfRecord):
+        length = 1.0 / record.step
         left = np.abs(np.exp((full.eigenvalues - record.window_decay) * length))
         mode = ranking.first_largest(left) + 1
         if left.max() >= NOTICEABLE:
@@ -419,9 +411,7 @@ def independent_std(covariance: Floats, shape: Floats) -> Floats:
 Estimate = Callable[[Bools], Floats | None]
 
 
-def jackknife(
-    estimate: Estimate, groups: Ints, weights: Floats, energies: Floats | None = None
-) -> tuple[Floats, Floats, int]:
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
     """Find the covariance by leaving out one piece at a time.
 
     Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
@@ -437,8 +427,6 @@ def jackknife(
         Stratum of each piece.
     weights : array, shape (pieces,)
         How much each piece tells.
-    energies : array, shape (pieces,), optional
-        Mean square motion of each piece. What follows its logarithm is left out of the covariance.
 
     Returns
     -------
@@ -456,7 +444,7 @@ def jackknife(
     """
     parts, freedoms, lost = [], [], 0
     for group in np.unique(groups):
-        found, rest, told = [], [], []
+        found, rest = [], []
         pieces = np.flatnonzero(groups == group)
         shares = weights[pieces] / weights[pieces].sum()
         for piece, share in zip(pieces, shares, strict=True):
@@ -468,15 +456,12 @@ def jackknife(
             else:
                 found.append(values)
                 rest.append(1 - share)
-                told.append(piece)
         if len(found) < 2:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
         spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
-        if energies is not None and len(found) > FEW_PIECES:
-            spread = _without_trend(spread, energies[told])
         parts.append(spread.T @ spread * len(pieces) / len(found))
         form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
         freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
@@ -484,19 +469,6 @@ def jackknife(
     squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
     freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
     return total, freedom, lost
-
-
-def _without_trend(spread: Floats, energies: Floats) -> Floats:
-    """Take from the changes that leaving pieces out makes what follows the strength of the motion.
-
-    The whole is nearly the mean of the pieces weighted by their energies, with the shares p. Leaving out piece j whose
-    own value differs by b log(e_j / e) changes it by -p_j / (1 - p_j) b log(e_j / e).
-    """
-    shares, level = energies / energies.sum(), np.log(energies)
-    follows = shares / (1.0 - shares) * (level - shares @ level)
-    follows = follows - follows.mean()
-    trend = np.outer(follows, follows @ spread) / max(float(follows @ follows), 1e-300)
-    return np.asarray((spread - trend) * np.sqrt((len(spread) - 1.0) / (len(spread) - 2.0)))
 
 
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:

@@ -324,7 +324,7 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
 def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
     """Find samples cut off at the extreme value."""
     levels, times = np.unique(values, return_counts=True)
-    for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
+    for extreme, beside in ((-1, -2), (0, 1)):
         level, count = levels[extreme], int(times[extreme])
         far = abs(level - np.median(values)) > values.std()
         if far and CLIPPED * (1 + times[beside]) <= count < 0.5 * len(values):

@@ -171,7 +171,6 @@ class FrfSource(pole_sweep.Source):
         else:
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
-        self.energies = np.array([float(item.response_response.sum()) for item in spectra])
         self._roots: dict[int, Floats] = {}
         for floor in self.floors.tolist():
             power = Spectra.together([item for item in spectra if item.floor == floor]).force_force
@@ -249,23 +248,22 @@ def _pairs(energies: Floats) -> float:
 class ImpulseSource(pole_sweep.Source):
     """Impulse responses or free decays as they stand, for the eigensystem realization algorithm.
 
+    Three or more columns, the decays from several releases, can be left out one at a time.
+
     Parameters
     ----------
     impulse : Impulse
     sampling_rate : float
         Hz.
-    releases : bool, optional
-        Whether the columns are decays from several releases; three or more can be left out one at a time.
     """
 
-    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float, *, releases: bool = False) -> None:
+    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float) -> None:
         self._impulse = impulse
         self.sampling_rate = sampling_rate
         _, self.outputs, columns = impulse.sequence.shape
-        several = releases and columns >= 3
+        several = columns >= 3
         self.unit = "release" if several else "none"
         self.groups = np.zeros(columns if several else 0, dtype=np.int64)
-        self.energies = np.mean(impulse.sequence**2, axis=(0, 1))
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
@@ -335,14 +333,9 @@ def hit_start(run: Run) -> int:
     """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
     assert run.excitation is not None
     force = np.abs(run.excitation)
-    loud = np.flatnonzero(force > 0.02 * force.max())
-    blow = int(np.argmax(force))
-    start = blow
-    for place in loud[loud <= blow][::-1]:
-        if place < start - 3:
-            break
-        start = int(place)
-    return max(0, start - RINGING)
+    loud = np.flatnonzero(force[: np.argmax(force) + 1] >= 0.02 * force.max())
+    together = np.split(loud, np.flatnonzero(np.diff(loud) > 3) + 1)
+    return max(0, int(together[-1][0]) - RINGING)
 
 
 def _quiet_after_blow(force: Floats) -> Floats:
@@ -350,8 +343,7 @@ def _quiet_after_blow(force: Floats) -> Floats:
 
     The usual force window: outside the blow the force is nought, and what the sensor shows is noise.
     """
-    loud = np.abs(force) > 0.25 * np.max(np.abs(force))
-    first, last = int(np.argmax(loud)), len(loud) - 1 - int(np.argmax(loud[::-1]))
+    first, last = np.flatnonzero(np.abs(force) >= 0.25 * np.max(np.abs(force)))[[0, -1]].tolist()
     margin = max(RINGING, 3 * (last - first + 1))
     window = np.zeros(len(force))
     window[max(0, first - margin) : last + margin + 1] = 1.0

@@ -199,7 +199,8 @@ def sweep_orders(
         members = pole_sweep.undivided(cluster, poles, criteria, shift)
         values = np.array([poles[i].eigenvalues[j] for i, j in members])
         value, shape = pole_sweep.center(values, np.array([poles[i].shapes[j] for i, j in members]))
-        share = pole_sweep.persistence(cluster, poles)
+        # Of the sweep's orders from the cluster's first on.
+        share = len(cluster) / (len(poles) - cluster[0][0])
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     if band is not None:

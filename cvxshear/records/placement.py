@@ -272,8 +272,8 @@ def with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     if gains is None:
         return record, []
     level, std = gains
-    units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
-    factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
+    sizes = sorted(set(quantities.IN_SI["acceleration"].values()), key=lambda size: (size != 1.0, size))
+    factors = np.outer([1.0, -1.0], sizes).ravel()
     priors = np.where(factors > 0, 1.0, FAULTY) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
     # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 
@@ -37,7 +36,7 @@ class Source(ABC):
     unit : str
         What a piece is: "block", "hit", "driving point".
     energies : array, shape (pieces,)
-        Mean square response of each piece.
+        Mean square response of each block; other pieces have none.
     """
 
     outputs: int
@@ -99,7 +98,7 @@ class Impulse:
     start: int
     driven: Ints
     wrapped: bool = False
-    pulse: Floats | None = None
+    pulse: Floats = dataclasses.field(default_factory=lambda: np.ones((1, 1)))
 
     def amplitudes(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
         """Fit Y_k = sum_r 2 Re(c_r z_r^k), k >= start, by least squares; c has the shape (modes, outputs, inputs)."""
@@ -111,8 +110,6 @@ class Impulse:
 
     def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
         """Return the pulses' transforms at eigenvalues in 1/s, the factors of the residues, shape (modes, inputs)."""
-        if self.pulse is None:
-            return np.ones((len(eigenvalues), len(self.driven)), dtype=np.complex128)
         steps = np.outer(eigenvalues, np.arange(1, len(self.pulse))) / sampling_rate
         return np.asarray(self.pulse[0] + 2 * np.cosh(steps) @ self.pulse[1:])
 
@@ -226,23 +223,14 @@ def _poles(
     basis: Floats, gram: Floats, shift: Floats, states: int, order: int, outputs: int, sampling_rate: float
 ) -> Poles:
     """Poles and shapes of a model with a given number of states."""
-    transition = _least_squares(gram[:states, :states], shift[:states, :states])
+    # pinv(U) U' from products; columns that depend on each other leave the least solution.
+    transition = np.linalg.lstsq(gram[:states, :states], shift[:states, :states], rcond=None)[0]
     discrete, vectors = linalg.eig(transition)
     # A pole at the origin is a pure delay and has no continuous-time counterpart.
     used = (discrete.imag > 0) & (np.abs(discrete) > 1e-6)
     eigenvalues = np.log(discrete[used]) * sampling_rate
     shapes = (basis[:outputs, :states] @ vectors[:, used]).T
     return Poles(order, eigenvalues, normalized(shapes))
-
-
-def _least_squares(gram: Floats, shift: Floats) -> Floats:
-    """pinv(U) U' from the products U'U and U'U'; columns that depend on each other leave the least solution."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", linalg.LinAlgWarning)
-        try:
-            return np.asarray(linalg.solve(gram, shift, assume_a="pos"))
-        except (linalg.LinAlgError, linalg.LinAlgWarning):
-            return np.asarray(np.linalg.lstsq(gram, shift, rcond=None)[0], dtype=np.float64)
 
 
 def normalized(shapes: Complexes) -> Complexes:
@@ -359,7 +347,8 @@ def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: 
             for number, cluster in enumerate(found):
                 i0, j0 = cluster[-1]
                 if _alike(sweep[i0], j0, sweep[place], j, criteria):
-                    pairs.append((_distance(sweep[i0], j0, sweep[place], j), number, j))
+                    moved = sweep[place].eigenvalues[j] / sweep[i0].eigenvalues[j0] - 1
+                    pairs.append((abs(moved), number, j))
         joined: set[int] = set()
         grown: set[int] = set()
         for _, number, j in sorted(pairs):
@@ -369,16 +358,6 @@ def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: 
                 grown.add(number)
         found.extend([(place, j)] for j in indices if j not in joined)
     return found
-
-
-def _distance(before: Poles, i: int, after: Poles, j: int) -> float:
-    change = abs(after.eigenvalues[j] - before.eigenvalues[i]) / abs(before.eigenvalues[i])
-    return float(change + 0.1 * (1 - mac(before.shapes[i], after.shapes[j])))
-
-
-def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
-    """Share of the sweep's orders, from the cluster's first on, that hold a member."""
-    return len(cluster) / (len(sweep) - cluster[0][0])
 
 
 def undivided(
@@ -394,10 +373,9 @@ def undivided(
         poles = sweep[i]
         twins = [
             k
-            for k in range(len(poles.eigenvalues))
+            for k in plausible(poles, np.inf, criteria.highest_damping, shift)
             if k != j
             and abs(poles.frequencies[k] - poles.frequencies[j]) < 0.05 * poles.frequencies[j]
-            and 0 < -(poles.eigenvalues[k].real + shift) / abs(poles.eigenvalues[k]) < criteria.highest_damping
             and mac(poles.shapes[k], poles.shapes[j]) > criteria.shape_agreement
         ]
         if not twins:

@@ -277,7 +277,7 @@ def _decays(record: TimeRecord) -> frf.ImpulseSource:
     samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
     decays = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
     impulse = pole_sweep.Impulse(np.stack(decays, axis=2), 0, np.zeros(len(decays), dtype=np.int64))
-    return frf.ImpulseSource(impulse, record.sampling_rate, releases=True)
+    return frf.ImpulseSource(impulse, record.sampling_rate)
 
 
 def _release(responses: Floats) -> int:

@@ -226,6 +226,8 @@ def story_dashpots(real: Modes, stiffness: Floats, ratios: Ratios, backend: Back
     ------
     NoSolutionError
         If the backend does not solve a program, or the dashpots do not converge.
+    UnsuitableError
+        If a measured mode would be overdamped.
     """
     n = len(stiffness)
     where = [constraints.NamedConstraints("dashpots are positive", Constraints(lower=np.zeros(n)))]
@@ -233,7 +235,10 @@ def story_dashpots(real: Modes, stiffness: Floats, ratios: Ratios, backend: Back
     # The first solution uses the real modes, for any distance; the following steps improve the ratios.
     c = backend.solve(constraints.constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
-    found = gauss_newton(fit, c, domain, backend, Accuracy(), fit.residuals(c))
+    try:
+        found = gauss_newton(fit, c, domain, backend, Accuracy())
+    except NoModesError as error:
+        raise UnsuitableError(str(error)) from None
     if not found.converged:
         raise NoSolutionError(backend.name, "the story dashpots did not settle; use modal damping in their place")
     return fit.found(found.theta, fit.program(found.theta))
@@ -263,23 +268,10 @@ class _Fit:
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
         return LeastSquares(R, s, names=tuple(f"dashpot {i + 1}" for i in range(len(c))))
 
-    def residuals(self, c: Floats) -> PlainResiduals:
-        """Return the rows at given dashpots.
-
-        Raises
-        ------
-        UnsuitableError
-            If a measured mode would be overdamped.
-        """
-        program = self.program(c)
-        return PlainResiduals(-program.s, program.R)
-
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
         """Return the rows for Gauss-Newton; NoModesError rejects a step to dashpots that overdamp a mode."""
-        try:
-            return self.residuals(theta)
-        except UnsuitableError as error:
-            raise NoModesError(str(error)) from None
+        program = self.program(theta)
+        return PlainResiduals(-program.s, program.R)
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
         """Return the final dashpots, and the combinations that the program's data do not determine."""
@@ -316,7 +308,7 @@ def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     values, shapes, scales = coupled(real, gamma)
     swinging = np.flatnonzero(values.imag > 0)
     if seen[-1] >= len(swinging):
-        raise UnsuitableError(
+        raise NoModesError(
             "with story dashpots that give the measured damping ratios one of those modes would not swing any more; "
             "use modal damping in their place"
         )

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -309,18 +308,15 @@ def fit_frame(
 def _nearer(
     errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
 ) -> Floats:
-    """Return the better start: the maximum of a linearized likelihood, or with the noise of p; p if neither has modes.
+    """Return a better start: the maximum of a linearized likelihood, with the noise of p; p if it has no modes.
 
     The likelihood is linear in the levels of the noise over much smaller steps.
     """
     nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
-    same_noise = nearer.copy()
-    same_noise[errors.levels] = p[errors.levels]
-    found = []
-    for start in (same_noise, nearer):
-        with contextlib.suppress(NoModesError, np.linalg.LinAlgError):
-            found.append((errors.objective(start), start))
-    return min((each for each in found if np.isfinite(each[0])), key=itemgetter(0), default=(0.0, p))[1]
+    nearer[errors.levels] = p[errors.levels]
+    with contextlib.suppress(NoModesError, np.linalg.LinAlgError):
+        return nearer if np.isfinite(errors.objective(nearer)) else p
+    return p
 
 
 def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:

@@ -237,9 +237,10 @@ class FrameMotion:
         """Set up the reconstruction of a recording around an identified frame."""
         varied = VariedFrame.around(frame, recording.floors)
         model = varied.centre.model
+        drifts = np.concatenate([each.drift for each in predicted_responses(model, recording)])
         setting = state_space.Setting(
             recording.floors, recording.step, recording.runs[0].floor, 2 * np.pi / varied.period,
-            frame.story_stiffness * _drift_rms(model, recording), model.M,
+            frame.story_stiffness * np.sqrt(np.mean(drifts**2, axis=0)), model.M,
         )  # fmt: skip
         driven, *moved = recording.rms()
         noise = state_space.Noise(FIRST_NOISE * np.array(moved), FIRST_NOISE, FIRST_NOISE * driven)
@@ -382,12 +383,6 @@ def _on_time(record: DrivenRecord, late: Floats, std: Floats) -> DrivenRecord:
     ]
     moved = on_time(record, record.step * np.column_stack([late, np.zeros(len(late))]))
     return replace(moved, remarks=(*record.remarks, *said))
-
-
-def _drift_rms(model: DampedModel, recording: DrivenRecord) -> Floats:
-    """Compute the rms of the predicted drift of each story."""
-    drifts = np.concatenate([each.drift for each in predicted_responses(model, recording)])
-    return np.asarray(np.sqrt(np.mean(drifts**2, axis=0)))
 
 
 @dataclass(frozen=True)

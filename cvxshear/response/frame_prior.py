@@ -85,8 +85,6 @@ def modal_rows(frame: UncertainFrame, varied: VariedFrame) -> tuple[Floats, Floa
         return np.concatenate([np.zeros(0), *parts])
 
     centre = described(np.zeros(N + W + X))
-    if not len(centre):
-        return np.zeros((0, N + W + X)), np.zeros(0)
     J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
     # The sensors of the tests had other gains.
     J[:, N + W - varied.gains : N + W] = 0.0
@@ -167,13 +165,14 @@ class FramePrior:
         story, changed = _expected(StoryChange(), experiment, experiment.stories)
         gain, off = _expected(SensorGain(), experiment, varied.gains)
         damped, late = (_at_each(UNDECLARED_PROBABILITY, count) for count in (experiment.stories, varied.gains))
-        delays = range(len(unit) - varied.gains + 1, len(unit))
+        everywhere = range(len(unit))
+        delays = everywhere[len(unit) - varied.gains + 1 :]
         changes = [
             FrameChange(kind, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
-                ("dashpot", _range(varied.dashpots), 1.0, damped),
-                ("gain", _range(varied.sensor_gains), gain, off),
+                ("dashpot", everywhere[varied.dashpots], 1.0, damped),
+                ("gain", everywhere[varied.sensor_gains], gain, off),
                 ("delay", delays, 1.0, late),
             )
             for at in places
@@ -242,10 +241,6 @@ class FramePrior:
         evidence = -0.5 * float(data @ np.linalg.solve(seen, data) + log_det)
         covariance = whole - gain @ J @ crossed.T
         return Gaussian(gain @ data, 0.5 * (covariance + covariance.T), evidence)
-
-
-def _range(at: slice) -> range:
-    return range(at.start, at.stop)
 
 
 def _expected(effect: Effect, experiment: Experiment, places: int) -> tuple[float, float]:

@@ -33,14 +33,6 @@ SAID = (
 )  # fmt: skip
 
 
-#: Periods of a motion whose sums vary independently of the next ones.
-BLOCK_PERIODS = 4.0
-
-#: Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
-#: deviations, doubled because a line is largest at its ends.
-BY_CHANCE = 4.0
-
-
 def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
     """Read a record, correct the certain faults of its sensors, and combine the sensors of each floor.
 
@@ -64,10 +56,9 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
     match source:
         case DrivenRecord():
             channels = [Channel(f"floor {floor}", int(floor)) for floor in source.floors]
-            none = np.full((1, len(channels)), np.nan)
             record = source.replaced(
                 responses=(
-                    np.repeat(none, run.samples, axis=0) if run.responses is None else run.responses
+                    np.full((run.samples, len(channels)), np.nan) if run.responses is None else run.responses
                     for run in source.runs
                 )
             )
@@ -254,28 +245,10 @@ def without_base_line(record: DrivenRecord) -> DrivenRecord:
 def without_lines(record: DrivenRecord, expected: Sequence[Floats]) -> DrivenRecord:
     """Subtract the straight line through each channel minus its expected accelerations, (samples, m) per run.
 
-    The vibration itself has a line, too: the last, incomplete cycle has a nonzero mean. A line that a motion of the
-    channel's period may leave by chance stays.
+    The vibration itself has a line, too: the last, incomplete cycle has a nonzero mean.
     """
     pairs = zip(record.runs, expected, strict=True)
-    return record.replaced(responses=(run.measured - _certain_lines(run.measured - own) for run, own in pairs))
-
-
-def _certain_lines(left: Floats) -> Floats:
-    """Fit a straight line to each column, shape (samples, m); zeros where chance may leave this line.
-
-    The variance of the mean is estimated from sums over blocks of `BLOCK_PERIODS` periods. A harmonic has the period
-    2 pi (rms of the motion) / (rms of its derivative).
-    """
-    lines = trend(left)
-    for column, values in enumerate((left - lines).T):
-        level = rms(values)
-        step = max(rms(np.diff(values)), level / len(values))
-        width = max(1, round(BLOCK_PERIODS * 2 * np.pi * level / step)) if level else 1
-        summed = np.add.reduceat(np.nan_to_num(values), np.arange(0, len(values), width))
-        chance = float(np.linalg.norm(summed)) / max(int(np.isfinite(values).sum()), 1)
-        lines[:, column] *= np.max(np.abs(lines[:, column])) > BY_CHANCE * chance
-    return lines
+    return record.replaced(responses=(run.measured - trend(run.measured - own) for run, own in pairs))
 
 
 def rms(values: Floats) -> float:

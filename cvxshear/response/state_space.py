@@ -168,10 +168,6 @@ class Dynamics:
         seen = weights > 0
         return replace(self, H=self.H * seen[:, None], R=self.R / np.where(seen, weights, 1.0))
 
-    def driven(self, excitation: Floats) -> Floats:
-        """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
-        return np.asarray(steps_of(excitation) @ [self.before, self.after])
-
     def shown(self, excitation: Floats) -> Floats:
         """Return the excitation's direct part of the sensors' values, shape (samples, m)."""
         return np.outer(excitation[:, 1], self.direct)

@@ -107,11 +107,13 @@ class VariedFrame:
         dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
         log_gain = np.zeros((len(dM), len(base.M) + 1))
         log_gain[len(moved) :] = sensors
-        dashpot = _dashpots(centre.model, frame.ratios.values, frame.ratios.measured)
+        # The dashpot of each story that alone gives one measured mode its ratio.
+        ratios, seen = frame.ratios.values, frame.ratios.measured
+        given = np.array([_given(centre.model.modes, each) for each in np.eye(len(ratios))])
+        dashpot = 1.0 / np.max(given[:, seen] / ratios[seen], axis=1)
         return VariedFrame(
-            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, form, gains,
-            frame.ratios.measured, dashpot,
-        )  # fmt: skip
+            centre, frame.story_stiffness, ratios, own, dM, dK, dgain, log_gain, form, gains, seen, dashpot
+        )
 
     @cached_property
     def period(self) -> float:
@@ -240,12 +242,6 @@ class VariedFrame:
         *floors, excitation = np.exp(nuisance @ self.log_gain)
         gain = (old.gain + nuisance @ self.dgain) * floors
         return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation))
-
-
-def _dashpots(model: DampedModel, ratios: Floats, measured: Bools) -> Floats:
-    """Compute the dashpot of each story that alone gives one measured mode its ratio, shape (N,), N s/m."""
-    given = np.array([_given(model.modes, each) for each in np.eye(len(ratios))])
-    return np.asarray(1.0 / np.max(given[:, measured] / ratios[measured], axis=1))
 
 
 def _given(real: Modes, dashpots: Floats) -> Floats:

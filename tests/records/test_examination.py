@@ -180,7 +180,7 @@ def test_the_input_is_named_where_most_floors_move_against_it():
     assert [item.numbers["channel"] for item in examined(record).findings if item.kind == "sign"] == ["input"]
 
 
-@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False)])
+@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False), (1.5, False)])
 def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
     """The table has no motion below this multiple of the first frequency; floor 2 is reversed, floor 3 is in g."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
@@ -218,7 +218,9 @@ def test_poles_of_noise_take_no_number(kept):
 def test_missing_modes_are_said_only_where_some_are_missing():
     record = only(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0), [0, 2])
     assert "missing mode" not in {item.kind for item in identify_modes(record).findings}
-    said = {item.kind: item.message for item in identify_modes(record, pick=[1.03, 2.2]).findings}
+    picked = identify_modes(record, pick=[1.03, 2.2])
+    assert picked.modes.tolist() == [1, 2]
+    said = {item.kind: item.message for item in picked.findings}
     assert said["missing mode"].startswith("2 of 3 modes were asked for, and 2 of 3 floors are measured")
 
 
@@ -260,9 +262,12 @@ def test_the_floors_center_follows_from_the_positions(places, weights):
         dataclasses.replace(channel, position=None if place is None else (0.0, place))
         for channel, place in zip(record.channels[2:], places, strict=True)
     ]
-    single, _ = one_a_floor(dataclasses.replace(record, channels=(*record.channels[:2], *channels)))
-    expected = record.runs[0].responses[:, 2:] @ np.array(weights)
-    np.testing.assert_allclose(single.runs[0].responses[:, 2], expected, atol=1e-12)
+    single, (said,) = one_a_floor(dataclasses.replace(record, channels=(*record.channels[:2], *channels)))
+    both = record.runs[0].responses[:, 2:]
+    center = both @ np.array(weights)
+    np.testing.assert_allclose(single.runs[0].responses[:, 2], center, atol=1e-12)
+    sway, turn = center.var(), np.var(both - center[:, None], axis=0).sum()
+    assert said.numbers["share"] == pytest.approx(turn / (sway + turn))
 
 
 def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():

@@ -70,6 +70,12 @@ def shaking(samples=400, step=0.01, seed=4):
     return envelope * np.convolve(rng.standard_normal(samples + 4), np.ones(5) / 5, mode="valid")
 
 
+def driven(system, excitation):
+    """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
+    lines = excitation[:, 0]
+    return np.outer(lines, system.before) + np.outer(np.roll(lines, -1), system.after)
+
+
 def straight(excitation):
     """Return an excitation that is linear between its samples, as input of `Dynamics`, shape (samples, 2)."""
     return np.column_stack([excitation, excitation])

@@ -18,7 +18,7 @@ from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
-from tests.response.common import damped_frame, damped_measurement, matrices, pole_ratios
+from tests.response.common import damped_frame, damped_measurement, driven, matrices, pole_ratios
 
 CHANGES = (
     frame_prior.FrameChange("story", 0.5 * np.eye(5)[:, :1], -2.5),
@@ -201,7 +201,7 @@ def test_larger_motions_and_smaller_gains_look_alike():
     noise = Noise(np.array([0.01, 0.02]), 0.05, 0.0)
     a, b = (dynamics(model, noise, setting) for model in (usual, larger))
     excitation = np.random.default_rng(2).standard_normal((200, 2))
-    moves = [recursion(each.A, np.eye(9), each.driven(excitation), np.zeros(9)) for each in (a, b)]
+    moves = [recursion(each.A, np.eye(9), driven(each, excitation), np.zeros(9)) for each in (a, b)]
     np.testing.assert_allclose(moves[1], np.exp(0.05) * moves[0], atol=1e-12)
     np.testing.assert_allclose(moves[1] @ b.H.T, moves[0] @ a.H.T, atol=1e-9)
     # The covariance of the innovations, with the missed forces, is the same.

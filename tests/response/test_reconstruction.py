@@ -27,7 +27,7 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import chain
-from tests.response.common import damped_frame, damped_measurement, declared, matrices, shaking, straight
+from tests.response.common import damped_frame, damped_measurement, declared, driven, matrices, shaking, straight
 from tests.studies import reconstruction as study
 
 STEP = 0.01
@@ -56,7 +56,7 @@ def three():
 def motion_program(model, run, weights):
     """Return the smoother's program as a table; the unknowns are the states, sample after sample."""
     samples, n = len(run.excitation), len(model.A)
-    driven = model.driven(run.drive)
+    pushed = driven(model, run.drive)
     scaled, sides = [], []
 
     def add(blocks, side):
@@ -69,7 +69,7 @@ def motion_program(model, run, weights):
     add({0: whitening(START**2 * model.P0)}, np.zeros(n))
     for t in range(samples - 1):
         white = whitening(model.Q)
-        add({t + 1: white, t: -white @ model.A}, white @ driven[t])
+        add({t + 1: white, t: -white @ model.A}, white @ pushed[t])
     for t in range(samples):
         own = weights[t] > 0
         root = np.sqrt(weights[t, own] / model.R[own])
@@ -105,7 +105,7 @@ def test_the_sweeps_solve_the_program_on_every_backend(three):
 
 def kalman(system, run, weights):
     """Return states and covariances by Kalman's filter and the Rauch-Tung-Striebel backward pass, sample by sample."""
-    driven = system.driven(run.drive)
+    pushed = driven(system, run.drive)
     x, P = np.zeros(len(system.A)), START**2 * system.P0
     told, foretold = [], []
     for t, row in enumerate(run.measured):
@@ -115,7 +115,7 @@ def kalman(system, run, weights):
         gain = np.linalg.solve(H @ P @ H.T + np.diag(system.R[own] / weights[t, own]), H @ P).T
         x, P = x + gain @ e, P - gain @ H @ P
         told.append((x, P))
-        x, P = system.A @ x + driven[t], system.A @ P @ system.A.T + system.Q
+        x, P = system.A @ x + pushed[t], system.A @ P @ system.A.T + system.Q
     states, covariances = [told[-1][0]], [told[-1][1]]
     for (x, P), (after, spread) in zip(told[-2::-1], foretold[:0:-1], strict=True):
         back = np.linalg.solve(spread, system.A @ P).T
@@ -154,7 +154,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     _, _, system, _ = three
     rng = np.random.default_rng(7)
     excitation = straight(shaking(4000, STEP))
-    y = recursion(system.A, np.eye(9), system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
+    y = recursion(system.A, np.eye(9), driven(system, excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
     y += np.sqrt(system.R) * rng.standard_normal(y.shape)
     y[1000:2500, 1] = np.nan
     run = DrivenRun(excitation[:, 0], responses=y)
@@ -210,14 +210,14 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     for part, seen, L in zip(parts, sensors, errors.spreads, strict=False):
         filtered = Filter.settled(errors.dynamics(p).seen_by(seen))
         white = np.linalg.inv(np.linalg.cholesky(filtered.S))
-        driven = filtered.model.driven(both[part])
+        pushed = driven(filtered.model, both[part])
         x, moved, rows, sides = np.zeros(9), L, [np.eye(9)], [np.zeros(9)]
         for t in range(part.start, part.stop):
             e = on_time[t, seen] - filtered.model.H @ x - filtered.model.direct * excitation[t]
             rows.append(white @ filtered.model.H @ moved)
             sides.append(white @ e)
             total += np.linalg.slogdet(filtered.S)[1]
-            x, moved = filtered.model.A @ x + filtered.K @ e + driven[t - part.start], filtered.F @ moved
+            x, moved = filtered.model.A @ x + filtered.K @ e + pushed[t - part.start], filtered.F @ moved
         rows, sides = np.concatenate(rows), np.concatenate(sides)
         total += np.sum((sides - rows @ np.linalg.lstsq(rows, sides)[0]) ** 2)
     assert errors.objective(p) == pytest.approx(total, rel=1e-9)
