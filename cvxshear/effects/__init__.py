@@ -8,11 +8,19 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvxshear.effects import masses
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters, TurnedAxes
 from cvxshear.effects.composition import compose
-from cvxshear.effects.masses import AddedMass, AttachedMass, LoadScale, MassCoupling, StateMass, TotalMass
+from cvxshear.effects.masses import (
+    AddedMass,
+    AttachedMass,
+    FloorMass,
+    LoadMounting,
+    LoadScale,
+    MassCoupling,
+    StateMass,
+    TotalMass,
+)  # fmt: skip
 from cvxshear.effects.open_class import OPEN_CLASSES
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.state import STAGES, Scale, State, heights_of
@@ -36,7 +44,7 @@ _catalogue: dict[str, Effect] = {
     for effect in (
         Gravity(), JointRotation(), AxialColumns(), BaseRocking(), Wall(), GroundSpring(), AddedMass(), MassCoupling(),
         SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(),
-        masses.FloorMass(), JointRelease(), SoftFeet(), Bracing(), AttachedMass(), masses.LoadMounting(), ShapeScale(),
+        FloorMass(), JointRelease(), SoftFeet(), Bracing(), AttachedMass(), LoadMounting(), ShapeScale(),
         ForceScale(), WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(), TurnedAxes(),
     )
 }  # fmt: skip

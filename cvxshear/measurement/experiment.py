@@ -11,9 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.measurement import declaration
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, MOTIONS, Damping, ExpectedEffect, Frame, Limits, StaticTest
+from cvxshear.measurement.declaration import (
+    DAMPING_KINDS,
+    MOTIONS,
+    Damping,
+    ExpectedEffect,
+    Frame,
+    Heading,
+    Limits,
+    StaticTest,
+    named_in,
+)
 from cvxshear.motions import ONE_MOTION, SYMMETRIC_MOTIONS, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks, decorators
@@ -67,7 +76,7 @@ class Experiment(Shown):
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
-    report: declaration.Heading = field(default_factory=declaration.Heading)
+    report: Heading = field(default_factory=Heading)
     limits: Limits | None = None
     symmetric: bool = False
 
@@ -216,12 +225,12 @@ class Experiment(Shown):
         static = []
         for place, item in checks.tables(table, "static"):
             name_of_test = f"static test {place}"
-            where = declaration.named_in(item, "static test", name_of_test)
+            where = named_in(item, "static test", name_of_test)
             static.append(StaticTest.of_table(item, where, "force", "displacement", name=name_of_test))
         effects = [ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")]
         said = {key: value for key, value in table.items() if value is not None}
         damping = Damping(**checks.keys(said.get("damping", {}), ["kind"], [], "damping"))
-        report = declaration.Heading.from_dict(said.get("report", {}))
+        report = Heading.from_dict(said.get("report", {}))
         limits = Limits.of_table(said["limits"], "limits", "story_drift") if "limits" in said else None
         return Experiment(
             frame, configurations, tuple(priors), name, tuple(static), tuple(effects), damping, report, limits
