@@ -25,7 +25,7 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
-#: Number of best visited sets that are expanded, and of further effects that are each fitted when a set is expanded.
+#: Number of best visited sets that are expanded.
 BEAM = 6
 
 #: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
@@ -39,7 +39,7 @@ WITHIN = float(-np.log(REPORTED))
 #: wrong: without this rule, an effect that no datum concerns loses its prior probability.
 TIE = 2.0
 
-#: Number of further effects where a set is far from the data: only their order is known there.
+#: Largest number of further effects, each fitted alone, when a set is expanded.
 MOST_FURTHER = 10
 
 #: Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded.
@@ -215,8 +215,7 @@ class Search:
             _, c = at.fit.at.triangle
             gains = linear.gains - 0.5 * (at.fit.at.objective - float(c @ c))
             for gain, placed in zip(gains.tolist(), effects, strict=True):
-                together = self.fitter.proposal(at, (*at.effects, placed), [linear.predicted([placed])])
-                promised.append((gain, together))
+                promised.append((gain, self.fitter.proposal(at, (*at.effects, placed))))
         best = ranking.ranked(promised, lambda each: each[0])[:MOST_STARTS]
         return self._fit([proposal for _, proposal in best])
 
@@ -442,7 +441,7 @@ def promising(
     floor = max(float(np.max(gains)), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
-    order = [i for i in ranking.order(gains)[: MOST_FURTHER if far_off else BEAM] if np.isfinite(gains[i])]
+    order = [i for i in ranking.order(gains)[:MOST_FURTHER] if np.isfinite(gains[i])]
     single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
     if model.improbable:
         # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.

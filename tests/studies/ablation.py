@@ -33,7 +33,7 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
     "at most 600 small fits": ("loop.search", {"MOST_WORK": 200}),
     "at most twenty starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
-    "at most ten further effects far from the data": ("loop.search", {"MOST_FURTHER": 5}),
+    "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),
     "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
 }
