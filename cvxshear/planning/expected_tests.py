@@ -146,8 +146,8 @@ class TestModel:
     def averaged(self, tests: Sequence[misfit.ExpectedTest], floors: Ints, exact: Floats | None = None) -> Floats:
         """Average the covariance over the frames that are possible before the tests, shape (2N, 2N).
 
-        The frames are drawn from the prior information, in 16 pairs on either side of the design values. In the draws,
-        a value deviates by 30 % at most. The covariance is relative to the values of each frame.
+        The frames are drawn from the prior information, in 16 pairs on either side of the design values. No value is
+        drawn with a standard deviation above 30 %. The covariance is relative to the values of each frame.
         """
         values, axes = np.linalg.eigh(self.covariance([], np.zeros(0, dtype=int)))
         # The symmetric root does not depend on the choice of axes.
