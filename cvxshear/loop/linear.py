@@ -213,15 +213,15 @@ class Linearised:
                 theta[: self.base.experiment.parameters] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
 
-    def in_place_of(self, placed: LocatedEffect, log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
-        """Find the causes of one parameter each that replace an effect of the fit, the most promising first.
+    def in_place_of(self, replaced: Sequence[LocatedEffect], log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
+        """Find the causes of one parameter each that replace effects of the fit, the most promising first.
 
-        The fit holds the effect at its size, so the derivatives are those of a frame that explains the data: no change
+        The fit holds the effects at their sizes, so the derivatives are those of a frame that explains the data: no change
         is too large for them, as long as the matrices are linear in it.
 
         Parameters
         ----------
-        placed : LocatedEffect
+        replaced : sequence of LocatedEffect
         log_priors : ndarray, shape (n,)
             Logarithm of the prior odds of each candidate.
 
@@ -233,11 +233,13 @@ class Linearised:
             Minimum of the linearised model: parameters of the fit without the effect, then of the causes.
         """
         base, single = self.base, self._singles
-        own, J = base.own(placed), base.fit.at.J
+        J = base.fit.at.J
+        own = np.concatenate([np.arange(len(base.theta))[base.own(each)] for each in replaced])
+        nulls = np.array([item.null for each in replaced for item in each.effect.parameters])
         free = self._free @ linalg.null_space(self._free[own])
         within = J @ free
         reached = linalg.orth(within)
-        residual = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
+        residual = base.fit.at.r - J[:, own] @ (base.theta[own] - nulls)
         columns = self._columns[:, single.columns]
         beyond, left = (each - reached @ (reached.T @ each) for each in (columns, residual))
         rounding = EXACT**2 * np.sum(columns**2, axis=0)
@@ -257,9 +259,8 @@ class Linearised:
         sizes = np.clip(change[len(free.T) :], single.lower[taken], single.upper[taken])
         moved = np.linalg.lstsq(within, residual + columns[:, taken] @ sizes, rcond=None)[0]
         causes = [self.candidates[at] for at in single.at[taken]]
-        nulls = np.array([cause.effect.parameters[0].null for cause in causes])
-        theta = np.delete(base.theta - free @ moved, np.arange(own.start, own.stop))
-        return causes, np.concatenate([theta, nulls + sizes])
+        start = [cause.effect.parameters[0].null for cause in causes] + sizes
+        return causes, np.concatenate([np.delete(base.theta - free @ moved, own), start])
 
     def decrease(self, placed: LocatedEffect) -> float:
         """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""

@@ -314,13 +314,15 @@ class Search:
         if not self.candidates(model):
             return
         linear = self.linearised(model)
+        for proposal in in_place_of_classes(model, linear, self.fitter):
+            effects = self.fitter.set_of(proposal)
+            if not self._tried(effects) and not self._hopeless(effects):
+                self._fit([proposal])
         if behind is None:
             behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        causes = in_place_of_classes(model, linear, self.fitter)
-        self._fit([each for each in causes if not self._tried(self.fitter.set_of(each))])
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried in vain.
@@ -457,12 +459,12 @@ def in_place_of_classes(model: ModelClass, linear: Linearised, fitter: Fitter) -
     Derivatives at null hardly show large changes; the fitted class provides their sizes.
     """
     proposals = []
-    for placed in model.effects:
-        if placed.effect.kind == OPEN and placed.effect.parameters:
-            odds = fitter.log_priors(linear.candidates, model.effects - {placed})
-            causes, start = linear.in_place_of(placed, odds)
-            rest = [each for each in model.estimate.effects if each is not placed]
-            proposals.append(dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,)))
+    classes = [each for each in model.estimate.effects if each.effect.kind == OPEN and each.effect.parameters]
+    for replaced in dict.fromkeys([tuple(classes), *((each,) for each in classes)] if classes else []):
+        odds = fitter.log_priors(linear.candidates, model.effects.difference(replaced))
+        causes, start = linear.in_place_of(replaced, odds)
+        rest = [each for each in model.estimate.effects if each not in replaced]
+        proposals.append(dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,)))
     return proposals
 
 
