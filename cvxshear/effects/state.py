@@ -9,6 +9,7 @@ import numpy as np
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model import Observation, System
 from cvxshear.motions import ONE_MOTION, Motions
+from cvxshear.util import decorators
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
@@ -55,7 +56,7 @@ class Scale:
         """Mean of the radii, m."""
         return float(np.mean(self.radius))
 
-    @property
+    @decorators.cached_property
     def units(self) -> Floats:
         """Size of every parameter of a frame of such floors and stories."""
         radius = np.broadcast_to(self.radius, len(self.heights))

@@ -216,8 +216,8 @@ class Linearised:
     def in_place_of(self, replaced: Sequence[LocatedEffect], log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
         """Find the causes of one parameter each that replace effects of the fit, the most promising first.
 
-        The fit holds the effects at their sizes, so the derivatives are those of a frame that explains the data: no change
-        is too large for them, as long as the matrices are linear in it.
+        The fit holds the effects at their sizes, so the derivatives are those of a frame that explains the data: no
+        change is too large for them, as long as the matrices are linear in it.
 
         Parameters
         ----------

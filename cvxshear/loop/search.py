@@ -1,7 +1,7 @@
 """Search among sets of effects, the best first: expansion, grouping and exchange. No set is visited twice.
 
-A set is expanded by the effects that the linearised model at its fit promises, each alone and all in sequence; the
-causes that best replace an open class are tried in its place. The best set and the best set without an open class
+Where a set holds open classes, the causes that best replace them are tried in their place. A set is then expanded by
+the effects that the linearised model at its fit promises, each alone and all in sequence. The best set and the best set without an open class
 come first: they lose superfluous effects and are expanded. Then one cause replaces a group of effects of the best set:
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
@@ -453,19 +453,18 @@ def promising(
     return [*(model.effects | {placed} for placed in single), several]
 
 
-def in_place_of_classes(model: ModelClass, linear: Linearised, fitter: Fitter) -> list[FitProposal]:
-    """Propose sets in which causes of the catalogue replace an open class.
+def in_place_of_classes(model: ModelClass, linear: Linearised, fitter: Fitter) -> Iterator[FitProposal]:
+    """Propose sets in which causes of the catalogue replace the open classes, all at once and then one at a time.
 
-    Derivatives at null hardly show large changes; the fitted class provides their sizes.
+    Derivatives at null hardly show large changes; the fitted classes provide their sizes.
     """
-    proposals = []
     classes = [each for each in model.estimate.effects if each.effect.kind == OPEN and each.effect.parameters]
-    for replaced in dict.fromkeys([tuple(classes), *((each,) for each in classes)] if classes else []):
+    alone = [(each,) for each in classes]
+    for replaced in dict.fromkeys([tuple(classes), *alone]) if classes else ():
         odds = fitter.log_priors(linear.candidates, model.effects.difference(replaced))
         causes, start = linear.in_place_of(replaced, odds)
         rest = [each for each in model.estimate.effects if each not in replaced]
-        proposals.append(dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,)))
-    return proposals
+        yield dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,))
 
 
 def with_companions(fitter: Fitter, best: ModelClass) -> list[tuple[FitProposal, LocatedEffect]]:
