@@ -1,13 +1,13 @@
 """Search among sets of effects, the best first: expansion, grouping and exchange. No set is visited twice.
 
 Where a set holds open classes, the causes that best replace them are tried in their place. A set is then expanded by
-the effects that the linearised model at its fit promises, each alone and all in sequence. The best set and the best set without an open class
-come first: they lose superfluous effects and are expanded. Then one cause replaces a group of effects of the best set:
-all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
-and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
-information at zero mass, so such effects are fitted from their own starting points. There are finitely many sets and
-none is fitted or expanded twice, so the search ends; at the latest when its budget of work is spent, and then it says
-what it has not tried. Sets that tie are tried with each other's exchanges.
+the effects that the linearised model at its fit promises, each alone and all in sequence. The best set and the best set
+without an open class come first: they lose superfluous effects and are expanded. Then one cause replaces a group of
+effects of the best set: all of one state, all of one name, or all. Then the other good sets have their turn, and each
+loses one effect at a time and is expanded again, so that another effect takes its place. The derivatives by an effect
+that adds a motion carry no information at zero mass, so such effects are fitted from their own starting points. There
+are finitely many sets and none is fitted or expanded twice, so the search ends; at the latest when its budget of work
+is spent, and then it says what it has not tried. Sets that tie are tried with each other's exchanges.
 """
 
 import dataclasses
