@@ -300,17 +300,8 @@ class Search:
             and not item.placed.effect.adds_motion
         ]
 
-    def _expand(self, model: ModelClass, barred: Set = frozenset(), behind: float | None = None) -> None:
-        """Visit the most promising sets with further effects, except the barred ones.
-
-        Parameters
-        ----------
-        model : ModelClass
-        barred : frozenset of LocatedEffect, optional
-        behind : float, optional
-            Distance in log probability that the further effects must close. Default: the distance from the best set;
-            none for the shear model, so that rivals of an effect tried first are found.
-        """
+    def _expand(self, model: ModelClass, barred: Set = frozenset()) -> None:
+        """Visit the most promising sets with further effects, except the barred ones."""
         if not self.candidates(model):
             return
         linear = self.linearised(model)
@@ -318,8 +309,8 @@ class Search:
             effects = self.fitter.set_of(proposal)
             if not self._tried(effects) and not self._hopeless(effects):
                 self._fit([proposal])
-        if behind is None:
-            behind = 0.0 if model is self.base else self.best.score - model.score
+        # Rivals of the first effect are found beside the shear model, however far behind they are.
+        behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
@@ -374,7 +365,7 @@ class Search:
         """
         for group in groups(model.effects):
             for rest in self._without(model, [model.effects - group]):
-                self._expand(rest, group, behind=0.0)
+                self._expand(rest, group)
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
