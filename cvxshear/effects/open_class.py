@@ -326,7 +326,7 @@ class OtherShapes(_LessAccurate):
     holds_in_words = "that the shapes are as accurate as their standard deviations"
 
     def lacks(self, experiment: Experiment) -> str:
-        return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
+        return "" if self.places(experiment) else "shapes of a declared accuracy"
 
     def places(self, experiment: Experiment) -> list[Place]:
         """List each state with shapes, each floor with a sensor, and all at once, if an accuracy was declared.
