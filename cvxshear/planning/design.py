@@ -16,7 +16,7 @@ from cvxshear.io.toml import is_built_in, load, read_tables
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Measurement, Prior, opened
 from cvxshear.priors import check_prior
 from cvxshear.util import checks
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats, Ints
 
@@ -156,6 +156,8 @@ class Design:
             )
         table = checks.keys(declared, ["frame", "prior"], ["prior"], "a file of design values")
         frame = Frame.from_dict(table.get("frame") or {})
+        if frame.turns:
+            raise UnsuitableError("the floors turn (frame: motions); a plan is for frames with one motion per floor")
         priors = tuple(Prior.from_dict(item) for _, item in checks.tables(table, "prior"))
         stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
@@ -194,13 +196,13 @@ def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | N
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
-def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Design:
+def read_design(source: Measurement, *, fresh: bool = False) -> Design:
     """Read the frame before the test from a source.
 
     Parameters
     ----------
-    source : str, Path or Experiment
-        "paper"; a TOML file with configurations (fitted first) or without (design values).
+    source : str, Path, dict or Experiment
+        "paper"; a TOML file, or its dict, with configurations (fitted first) or without (design values).
     fresh : bool, optional
         Do not count earlier measurements as known.
 
@@ -209,7 +211,9 @@ def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Desi
     InputError
         If the source is not valid; the message names the file and the remedy.
     """
-    measured = source if isinstance(source, Experiment) else measurement_of(source)
+    if isinstance(source, Mapping) and "configuration" not in source:
+        return Design.of_file(source, "design")
+    measured = measurement_of(source) if isinstance(source, str | Path) else opened(source)
     if measured is not None:
         return Design.of_experiment(measured, fresh=fresh)
     path = Path(str(source))
