@@ -206,7 +206,7 @@ def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
     raise InfeasibleError("these cannot all be true: " + "; ".join(part.name for part in core))
 
 
-def refuse_contradicting(experiment: Experiment) -> None:
+def refuse_infeasible(experiment: Experiment) -> None:
     """Raise if the declared masses and the exact priors of an experiment cannot all be true.
 
     Raises

@@ -178,5 +178,10 @@ def test_what_is_missing_is_named(change, said):
         configuration["mode_shapes"][1][3] = change["reading"]
     with pytest.raises(cvxshear.UnsuitableError, match=said):
         programs.one_shot_masses(declared)
+    frame = random_frame(2, 1).experiment()
     with pytest.raises(cvxshear.UnsuitableError, match="turn"):
-        programs.mass_correction(random_frame(2, 1).experiment())
+        programs.mass_correction(frame)
+    with pytest.raises(cvxshear.InfeasibleError, match="total_mass"):
+        programs.one_shot_masses(frame, priors=[cvxshear.priors.Bounds("floor_mass", upper=1.0)])
+    with pytest.raises(cvxshear.InputError, match="mass matrix of floor 1 must be positive"):
+        programs.story_stiffnesses(frame, -np.ones(8))
