@@ -70,7 +70,8 @@ class Constraints:
                 raise InputError(
                     f"{where}: its {field.name} has the shape {array.shape}, where the last length must be {size}"
                 )
-            wrong = np.isnan(array) if field.name in {"lower", "upper"} else ~np.isfinite(array)
+            missing = {"lower": -np.inf, "upper": np.inf}.get(field.name)
+            wrong = ~np.isfinite(array) & (array != missing)
             if wrong.any():
                 raise InputError(f"{where}: its {field.name} must hold finite numbers, not {array[wrong][0]}")
 

@@ -304,18 +304,21 @@ def complete_test(experiment: Experiment, configuration: Configuration, user: st
     total = experiment.frame.known_total
     if total is None:
         raise errors.UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
-    constraints.refuse_infeasible(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
     least = constraints.LEAST_POSITIVE * total / n
+    of_masses = constraints.statements(experiment.priors, "floor_mass", n, experiment.frame, least)
+    of_stiffnesses = constraints.statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0])
+    for each in (of_masses, of_stiffnesses):
+        constraints.refuse_contradictions(each, n)
     return CompleteTest(
         experiment,
         configuration,
         shapes=configuration.mode_shapes.T,
         eigenvalues=eigenvalues,
         total=total + float(configuration.added_mass.sum()),
-        of_masses=constraints.statements(experiment.priors, "floor_mass", n, experiment.frame, least),
-        of_stiffnesses=constraints.statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
+        of_masses=of_masses,
+        of_stiffnesses=of_stiffnesses,
         shape_std=float(np.sqrt(np.mean(relative**2))),
     )
 
