@@ -76,7 +76,7 @@ class Rows:
             found[row, j] += by_reading[:, i]
             if own is not None and i == j:
                 found[row, i] -= own[:, i]
-        return np.asarray((self.weights[:, None, None] * self.std * found).reshape(len(found), self.std.size))
+        return np.asarray((self.weights[:, None, None] * self.std * found).reshape(len(found), -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,17 +123,19 @@ class TurningTest:
         InfeasibleError
             If declared masses and exact priors contradict each other.
         UnsuitableError
-            If a reading or the total mass is missing, or the sensors do not tell the motions of a floor apart.
+            If a reading, a second mode or the total mass is missing, or the sensors do not tell the motions of a floor
+            apart.
         """
         where = f'{user} cannot use configuration "{configuration.name}"'
         if experiment.frame.known_total is None:
             raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses")
-        if not configuration.sensors or not configuration.measured.all():
-            what = "mode shapes"
-            if configuration.sensors:
-                mode, sensor = np.argwhere(~configuration.measured)[0] + 1
-                what = f"every reading, and mode {mode} has none of sensor {sensor}"
-            raise UnsuitableError(f"{where}: it needs {what}")
+        if not configuration.sensors:
+            raise UnsuitableError(f"{where}: it needs mode shapes")
+        if not configuration.measured.all():
+            mode, sensor = np.argwhere(~configuration.measured)[0] + 1
+            raise UnsuitableError(f"{where}: it needs every reading, and mode {mode} has none of sensor {sensor}")
+        if len(configuration.frequencies) < 2:
+            raise UnsuitableError(f"{where}: it needs two modes, which are orthogonal")
         refuse_infeasible(experiment)
         C = configuration.sensor_rows
         seen = _seen(C, where)

@@ -166,5 +166,5 @@ def test_a_program_that_makes_no_sense_is_refused(what):
 
 @pytest.mark.parametrize("backend", ["guest", Guest, Backend], ids=str)
 def test_what_is_no_backend_is_not_registered(backend):
-    with pytest.raises(InputError, match="a backend must be an instance of cvxshear.backends.Backend, not"):
+    with pytest.raises(InputError, match=r"a backend must be an instance of cvxshear.backends.Backend, not"):
         backends.register(backend)
