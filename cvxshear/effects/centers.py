@@ -103,6 +103,7 @@ class TurnedAxes(_Asymmetric):
     summary = "The principal axes of a story, or of all stories, are not x and y: oblique walls, or a turned frame."
     formula = "K_s + o (k_x + k_y) / 2 between x and y"
     source = "a symmetric matrix of two motions has principal axes"
+    stage = "axes"
     parameters = (Parameter("o", "", lower=-1.0, upper=1.0),)
     sits_at = ("story",)
     usual = 0.12

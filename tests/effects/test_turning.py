@@ -134,6 +134,23 @@ def test_one_factor_on_a_state_and_springs_between_floors():
     close(composed(frame, "other_stiffness", values).system.K, K + d.T @ np.diag([5e5, 3e5]) @ d)
 
 
+def test_the_order_in_which_two_effects_are_named_does_not_matter():
+    frame = symmetric_frame()
+    of, plain = experiment_of(frame), parameters_of(frame)
+    for pair in (
+        [(effect("added_mass", of, floor=2), [700.0, 3.0, -2.0]), (effect("state_mass", of), [0.2])],
+        [(effect("eccentric_stiffness", of, part="in x"), [0.4]), (effect("turned_axes", of), [0.1])],
+    ):
+        first, second = (
+            compose(
+                of, of.configurations[1], [each for each, _ in order], np.concatenate([plain, *(v for _, v in order)])
+            )
+            for order in (pair, pair[::-1])
+        )
+        close(first.system.M, second.system.M)
+        close(first.system.K, second.system.K)
+
+
 def test_the_gain_of_one_sensor_scales_its_row():
     frame = symmetric_frame()
     state = composed(frame, "sensor_gain", [0.2], floor=1, part="at (-5, -3) m along 0 degrees")
