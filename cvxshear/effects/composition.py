@@ -38,17 +38,12 @@ def compose(
     """
     acting = [item for item in slices(effects, experiment.parameters) if item[0].acts_on(tested)]
     acting.sort(key=lambda item: STAGES.index(item[0].effect.stage))
-    n, size = experiment.stories, len(theta)
+    n, size = experiment.stories, len(theta) if derivatives or effects else 0
     mass, stiffness = theta[experiment.of_floors], theta[experiment.of_stories]
-    if not derivatives and not effects:
-        size = 0
-        M, K = _matrices(experiment, tested, mass, stiffness)
-        none = np.zeros((0, *M.shape))
-        system = System(M, K, none, none)
-    else:
-        if acting:
-            _refuse_large(n, size, experiment.motions.count)
-        system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
+    if acting:
+        _refuse_large(n, size, experiment.motions.count)
+    matrices = _matrices(experiment, tested, mass, stiffness)
+    system = FrameSystem(experiment.motions, *matrices, len(theta), slice(size))
     by_stiffness = np.eye(size, len(stiffness), -len(mass))
     if experiment.frame.turns:
         stiffness, by_stiffness = (_all_entries(each, n) for each in (stiffness, by_stiffness))

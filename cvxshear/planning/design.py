@@ -74,7 +74,7 @@ class Design:
 
     def fixed(self) -> Floats:
         """Return rows whose product with every relative change of masses and stiffnesses is zero, shape (e, 2N)."""
-        n, size = self.stories, self.sizes
+        n = self.stories
         rows = [np.zeros((0, 2 * n))]
         if self.frame.floor_masses is not None:
             rows.append(np.eye(n, 2 * n))
@@ -83,9 +83,7 @@ class Design:
         for prior in self.priors:
             A = prior.constraints(n).A
             if A is not None:
-                at = _place(prior, n)
-                row = np.zeros((len(A), 2 * n))
-                row[:, at] = A * size[at]
+                row = self._by_relative_changes(prior, A)
                 rows.append(row / np.linalg.norm(row, axis=1, keepdims=True))
         return np.concatenate(rows)
 
@@ -96,19 +94,24 @@ class Design:
 
     def known(self) -> Floats:
         """Return the prior information, rows in standard deviations by relative changes, shape (k, 2N)."""
-        n, size = self.stories, self.sizes
         if self.measured is not None:
-            return np.asarray(Misfit(self.measured, ()).evaluate(size).J * size)
-        rows = [np.zeros((0, 2 * n))]
+            return np.asarray(Misfit(self.measured, ()).evaluate(self.sizes).J * self.sizes)
+        rows = [np.zeros((0, 2 * self.stories))]
         if self.frame.total_mass_std is not None:
             rows.append(self.share_of_total / self.frame.total_mass_std)
         for prior in self.priors:
-            at = _place(prior, n)
-            _, J = prior.residual(size[at])
-            row = np.zeros((len(J), 2 * n))
-            row[:, at] = J * size[at]
-            rows.append(row)
+            _, J = prior.residual(self.sizes[self._place(prior)])
+            rows.append(self._by_relative_changes(prior, J))
         return np.concatenate(rows)
+
+    def _place(self, prior: Prior) -> slice:
+        return slice(0, self.stories) if prior.quantity == "floor_mass" else slice(self.stories, None)
+
+    def _by_relative_changes(self, prior: Prior, rows: Floats) -> Floats:
+        """Write rows about the quantity of a prior as rows by relative changes of all parameters, shape (k, 2N)."""
+        at, found = self._place(prior), np.zeros((len(rows), 2 * self.stories))
+        found[:, at] = rows * self.sizes[at]
+        return found
 
     @staticmethod
     def of_experiment(experiment: Measurement, *, fresh: bool = False) -> Design:
@@ -184,10 +187,6 @@ class Design:
             check_prior(prior, n)
         frame = replace(frame, stories=n)
         return Design(frame, np.array(mass), np.array(stiffness), priors, name=name)
-
-
-def _place(prior: Prior, n: int) -> slice:
-    return slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
 
 
 def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
