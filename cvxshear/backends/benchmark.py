@@ -218,12 +218,11 @@ class _Answers:
         accepted = [item.acceptance for item in self.solutions]
         # One of the two is empty if a program was not solved.
         pairs = zip(self.values, reference.values, self.solutions, strict=False)
-        differences = [_difference(a, b, solution.program) for a, b, solution in pairs]
         return BackendResult(
             kind=kind,
             backend=backend.name,
             programs=programs,
-            difference=_largest(differences),
+            difference=_largest([_difference(a, b, solution.program) for a, b, solution in pairs]),
             reference=said,
             **{name: _largest([each[name] for each in certificates]) for name in figures},
             iterations=None if self.failure or None in iterations else sum(item or 0 for item in iterations),

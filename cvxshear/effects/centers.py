@@ -53,8 +53,7 @@ class _Eccentric(_Asymmetric):
     probability = 0.3
 
     def places(self, experiment: Experiment) -> list[Place]:
-        levels = super().places(experiment)
-        return [replace(at, part=axis) for at in levels for axis in MOVED]
+        return [replace(at, part=axis) for at in super().places(experiment) for axis in MOVED]
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         coordinate = f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"

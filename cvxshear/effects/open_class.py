@@ -76,8 +76,7 @@ class OpenClass(Effect):
         """List the significant entries, the most significant first and not more than a sentence can name."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
-        order = [i for i in ranking.order(z) if z[i] >= STANDS_OUT]
-        return order[:most]
+        return [i for i in ranking.order(z) if z[i] >= STANDS_OUT][:most]
 
 
 def named_pair(i: int, j: int) -> str:

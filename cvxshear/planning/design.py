@@ -100,16 +100,17 @@ class Design:
         if self.frame.total_mass_std is not None:
             rows.append(self.share_of_total / self.frame.total_mass_std)
         for prior in self.priors:
-            _, J = prior.residual(self.sizes[self._place(prior)])
+            _, J = prior.residual(self.sizes[self.place(prior.quantity)])
             rows.append(self._by_relative_changes(prior, J))
         return np.concatenate(rows)
 
-    def _place(self, prior: Prior) -> slice:
-        return slice(0, self.stories) if prior.quantity == "floor_mass" else slice(self.stories, None)
+    def place(self, quantity: str) -> slice:
+        """Return the place of the floor masses, or of the story stiffnesses, among all parameters."""
+        return slice(0, self.stories) if quantity == "floor_mass" else slice(self.stories, None)
 
     def _by_relative_changes(self, prior: Prior, rows: Floats) -> Floats:
         """Write rows about the quantity of a prior as rows by relative changes of all parameters, shape (k, 2N)."""
-        at, found = self._place(prior), np.zeros((len(rows), 2 * self.stories))
+        at, found = self.place(prior.quantity), np.zeros((len(rows), 2 * self.stories))
         found[:, at] = rows * self.sizes[at]
         return found
 

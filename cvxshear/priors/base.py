@@ -124,11 +124,7 @@ class Prior(checks.ReadOnlyArrays, ABC):
         if not dataclasses.is_dataclass(cls):
             raise InputError(f"the {cls.kind} prior cannot be named in a file: {cls.__name__} is not a dataclass")
         fields = [field for field in dataclasses.fields(cls) if field.init and field.name != "kind"]
-        required = [
-            field.name
-            for field in fields
-            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        ]
+        required = [each.name for each in fields if each.default is each.default_factory is dataclasses.MISSING]
         names = [field.name for field in fields]
         table = checks.keys(declared, ["kind", *names], required, f"the {cls.kind} prior")
         given = {key: table[key] for key in names if key in table}
