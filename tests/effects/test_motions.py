@@ -10,20 +10,10 @@ from cvxshear.programs.formulations import pair_products
 from tests.fe.plan_frames import random_frame
 
 
-def parameters(frame):
-    """Return the parameters of a frame's floors and stories, from its members."""
-    mass, places, central = frame.floor_mass, frame.mass_center, frame.inertia
-    moments = mass[:, None] * places
-    inertia = central + mass * np.sum(places**2, axis=1)
-    stories = [frame.story(story) for story in range(frame.stories)]
-    entries = [[K[0, 0], K[1, 1], K[2, 2], K[0, 1], K[0, 2], K[1, 2]] for K in stories]
-    return np.column_stack([mass, moments, inertia]).ravel(), np.ravel(entries)
-
-
 @pytest.mark.parametrize("stories", [1, 2, 5])
 def test_the_map_gives_the_matrices_of_frames_assembled_from_members(stories):
     frame = random_frame(stories, seed=stories)
-    masses, entries = parameters(frame)
+    masses, entries = frame.parameters
     found = THREE_MOTIONS.masses(masses), THREE_MOTIONS.stiffnesses(entries)
     for matrix, slopes, expected in zip(found, unit_derivatives(THREE_MOTIONS, stories), frame.matrices, strict=True):
         size = np.max(np.abs(expected))
@@ -44,7 +34,7 @@ def test_one_motion_per_floor_is_the_shear_frame():
 def test_centers_of_mass_and_of_stiffness():
     """The point masses have the same mass center; a force at the center of stiffness does not turn the floor."""
     frame = random_frame(3, seed=7)
-    masses = THREE_MOTIONS.masses(parameters(frame)[0])
+    masses = THREE_MOTIONS.masses(frame.parameters[0])
     blocks = np.array([masses[at : at + 3, at : at + 3] for at in (0, 3, 6)])
     places, central = center(blocks)
     np.testing.assert_allclose(places, frame.mass_center, rtol=1e-9, atol=1e-12)

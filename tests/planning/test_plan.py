@@ -288,8 +288,7 @@ def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():
     assert len(re.findall(r"[mk]\d|(?:floor|story)[ _]\w+ \d", str(refused.value))) == 4
 
 
-def test_a_static_test_or_a_reference_before_the_plan_stays_with_it():
-    """The pull alone tells the scale, and a plan that does not count the tests has no state of reference."""
+def test_a_static_test_before_the_plan_stays_with_it_and_a_reference_without_its_state_does_not():
     mass, stiffness = [10.0, 9.0, 8.0], [24e3, 20e3, 16e3]
     pull = {"force": [0.0, 0.0, 120.0], "displacement": (120.0 * np.cumsum(1 / np.array(stiffness))).tolist()}
     tested = {"configuration": [configuration(mass, stiffness)], "static": [pull]}
