@@ -123,8 +123,8 @@ def with_changed_story(state: State, at: int, change: float, parameter: int) -> 
     brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
     gained, d_gained = change * k[at], change * dk[:, at]
     d_gained[parameter] += k[at]
-    if abs(gained) > brace[at]:
-        # The braces are gone, or have twice their stiffness; the columns take the rest.
+    if abs(gained) >= brace[at]:
+        # The braces are gone, or have twice their stiffness; the columns take the rest. Without braces they take all.
         factor = 1.0 + np.sign(gained)
         brace[at] *= factor
         d_brace[:, at] *= factor

@@ -118,7 +118,7 @@ LACKING = {
     "force_scale": "a static test",
     "wrong_prior": "a prior with a standard deviation",
     "wrong_exact_prior": "a prior that is an exact equation",
-    "other_shapes": "shapes of a declared accuracy, or of several states",
+    "other_shapes": "shapes of a declared accuracy",
     "other_frequencies": "frequencies that are said to be better than 0.2 %",
 }
 """What effects and classes lack in one test with frequencies, shapes and a total mass; the others lack nothing."""

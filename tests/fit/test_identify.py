@@ -282,6 +282,8 @@ def test_a_ratio_that_contradicts_a_bound_is_named_without_the_rest():
     assert "story_stiffness 1 is 2 times story_stiffness 2" in str(raised.value)
     assert "story_stiffness 3" not in str(raised.value)
     assert "positive" not in str(raised.value)
+    with pytest.raises(InfeasibleError, match=r"is at least .* N/m; prior: story_stiffness at most 0.001 N/m"):
+        identify(exact(), "one-shot", priors=[Bounds("story_stiffness", upper=1e-3)])
 
 
 def test_predictions_are_the_modes_of_the_identified_frame():
