@@ -308,7 +308,7 @@ def _nearest_unit(size: float) -> str | None:
 
 def _other_unit(channel: Channel, factor: float) -> tuple[str | None, str]:
     """Name the unit of a channel whose values need a factor, None if unknown, and say what the channel looks like."""
-    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", np.nan) * factor)
     if channel.unit is not None:
         return unit, f"is declared in {channel.unit} and looks like {unit or f'{factor:.3g} times that'}"
     if unit is not None:

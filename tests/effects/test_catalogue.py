@@ -280,13 +280,21 @@ def test_an_effect_brings_its_own_size_and_probability():
         gain.expecting(probability=1.5)
 
 
-def test_the_probability_of_an_effect_is_that_of_being_anywhere():
-    """That an effect is absent everywhere has the product over its places. Half of all tanks are on the roof."""
-    of = experiment(configurations=1)
-    for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
-        found = hypotheses(of, [one(name)])
-        assert [item.placed.place.floor for item in found] == floors
-        assert np.prod([1 - item.probability for item in found]) == pytest.approx(1 - one(name).probability, rel=1e-12)
+@pytest.mark.parametrize("reference", [None, "plain"])
+def test_the_probability_of_an_effect_is_that_of_being_anywhere(reference):
+    """That an effect is absent everywhere has the product over its places, or those of each state after another."""
+    of = experiment(mode_shape_std=0.01)
+    of = dataclasses.replace(of, frame=dataclasses.replace(of.frame, reference=reference))
+    for effect in (*catalogue(), *open_classes()):
+        absent = {}
+        for item in hypotheses(of, [effect]):
+            state = item.placed.place.state if reference and effect.kind != "open" else None
+            absent[state] = absent.get(state, 1.0) * (1 - item.probability)
+        assert list(absent.values()) == pytest.approx([1 - effect.probability] * len(absent), rel=1e-9)
+
+
+def test_half_of_all_tanks_are_on_the_roof():
+    found = hypotheses(experiment(configurations=1), [one("attached_mass")])
     lower, roof = [item.probability for item in found[:3]], found[3].probability
     assert roof == pytest.approx(1 - np.sqrt(0.98), rel=1e-12)
     assert lower == pytest.approx([1 - 0.98 ** (1 / 6)] * 3, rel=1e-12)
@@ -511,6 +519,14 @@ def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():
     np.testing.assert_allclose(state.gain, [1.1, 1.2, 0.7])
     (sensor,) = one("sensor_gain").parameters
     assert {(each.lower, each.upper) for each in gains.bound(of).parameters} == {(sensor.lower, sensor.upper)}
+
+
+def test_shapes_may_be_inaccurate_in_a_state_at_a_floor_or_all():
+    (shapes,) = (effect for effect in open_classes() if effect.name == "other_shapes")
+    places = shapes.places(experiment(mode_shape_std=0.01))
+    said = [shapes.phrase(place, np.array([3.0]), np.array([0.1]), SCALE, [""]) for place in places]
+    where = [' of "plain"', ' of "loaded"', *(f" at floor {floor}" for floor in FOUR), ""]
+    assert [each.split(" are less")[0] for each in said] == [f"the shapes{each}" for each in where]
 
 
 @pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from cvxshear import Experiment
 from cvxshear.planning.choice import candidates
 from cvxshear.planning.design import Design
-from cvxshear.planning.expected_tests import UNKNOWN_STDS
+from cvxshear.planning.expected_tests import UNKNOWN_STDS, Declared
 from cvxshear.util.errors import InputError
+from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, frame_model, information_of, slow_covariance, tapered
 
 FLOORS = np.array([0, 2, 4])
@@ -77,3 +79,15 @@ def test_what_nothing_is_known_of_keeps_the_vague_standard_deviation():
     of = candidates(np.eye(2) / UNKNOWN_STDS, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
     std = np.sqrt(np.diag(of.covariance(of.own(information_of(of, [0])))))
     np.testing.assert_allclose(std, [1e-3, UNKNOWN_STDS], rtol=1e-6)
+
+
+def test_the_noise_of_a_plan_is_the_median_of_the_tests_before():
+    """Shapes may have any size; a test of frequencies alone says nothing of shapes."""
+    shown = configuration([4.0, 3.0], [900.0, 700.0], frequency_std=0.003, mode_shape_std=0.02)
+    shown["mode_shapes"] = (3.0 * np.array(shown["mode_shapes"])).tolist()
+    alone = {"frequencies": shown["frequencies"][:1], "frequency_std": 0.005}
+    tests = Experiment.from_dict(experiment([4.0, 3.0], [900.0, 700.0], shown, alone)).configurations
+    assert Declared.of_tests(tests).frequency_std == pytest.approx(0.003)
+    assert Declared.of_tests(tests).mode_shape_std == pytest.approx(0.02)
+    assert Declared.of_tests(tests[1:]) == Declared(0.005)
+    assert Declared.of_tests([]) == Declared()

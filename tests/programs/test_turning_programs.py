@@ -62,6 +62,18 @@ def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
     np.testing.assert_allclose(rows.noise, expected, atol=1e-9 * np.max(expected))
 
 
+def test_even_stories_have_the_first_eigenvalue_as_rayleigh_quotient():
+    frame = random_frame(3, 4)
+    experiment = frame.experiment()
+    test, masses = TurningTest.of(experiment, experiment.configurations[0], "this test"), expected_masses(frame)
+    entries = test.even_stiffnesses(masses).reshape(-1, 6)
+    even = np.column_stack([np.ones((3, 2)), experiment.radius**2, np.zeros((3, 3))])
+    np.testing.assert_allclose(entries, entries[0, 0] * even)
+    phi, (first, *_) = test.shapes[:, 0], experiment.configurations[0].frequencies
+    quotient = phi @ THREE_MOTIONS.stiffnesses(entries.ravel()) @ phi / (phi @ THREE_MOTIONS.masses(masses) @ phi)
+    assert quotient == pytest.approx((2 * np.pi * first) ** 2)
+
+
 def test_what_no_sensor_sees_does_not_move():
     """Oblique sensors at the reference points see no rotation; a pseudoinverse alone would round its zeros."""
     sensors = [{"floor": at, "position": [0.0, 0.0], "direction": angle} for at in (1, 2, 3) for angle in (20.0, 75.0)]

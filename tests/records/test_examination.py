@@ -415,6 +415,7 @@ def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
         ("g", 9.80665, "floor 2 is declared in g and looks like m/s2: ", "m/s2"),
         ("m/s2", 1 / 9.80665, "floor 2 is declared in m/s2 and looks like g: ", "g"),
         ("mg", 1 / 9.80665, "floor 2 is declared in mg and looks like 9.81 times that: ", None),
+        ("m/s", 9.80665, "floor 2 is declared in m/s and looks like 0.102 times that: ", None),
         (None, 1 / 9.80665, "floor 2 looks like g, the others like m/s2: ", "g"),
         (None, 9.80665, "floor 2 looks like m/s2, the others like g: ", None),
     ],

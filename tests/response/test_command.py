@@ -94,39 +94,24 @@ def test_files_and_figures(folder, printed):
     assert all((folder / name).stat().st_size > 0 for name in wanted)
 
 
+SHAKEN = ("frame.toml", "--record", "shaken.toml")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("predict", "nowhere.toml", "--record", "shaken.toml"), "nowhere.toml: no such file"),
-        (
-            ("predict", "frame.toml", "--record", "frame.toml"),
-            "is a measurement file (it has [[configuration]]), not a record",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--damping", "viscous"),
-            "damping must be one of modal, story",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--out", "x.doc"),
-            "--out: x.doc must end in .csv or .mat",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--figure", "mac:x.svg"),
-            "no figure 'mac' here; there are history",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--figure", "peaks:x.doc"),
-            "--figure: x.doc must end in .svg or",
-        ),
-        (("predict", "frame.toml", "--record", "shaken.toml", "--backend", "none"), "no backend named 'none'"),
+        (("predict", "frame.toml", "--record", "frame.toml"), "is a measurement file (it has [[configuration]]), not"),
+        (("predict", *SHAKEN, "--damping", "viscous"), "damping must be one of modal, story"),
+        (("predict", *SHAKEN, "--out", "x.doc"), "--out: x.doc must end in .csv or .mat"),
+        (("predict", *SHAKEN, "--figure", "mac:x.svg"), "no figure 'mac' here; there are history"),
+        (("predict", *SHAKEN, "--figure", "peaks:x.doc"), "--figure: x.doc must end in .svg or"),
+        (("predict", *SHAKEN, "--backend", "none"), "no backend named 'none'"),
         (("predict", "paper", "--record", "shaken.toml"), "speaks of floor 3, the frame has 2 stories"),
         (("predict", "paper", "--record", "two.toml"), "nothing tells how the frame is damped"),
         (("reconstruct", "frame.toml", "--record", "ground.toml"), "no floor's acceleration was recorded"),
-        (
-            ("reconstruct", "frame.toml", "--record", "shaken.toml", "--out", "a.xyz"),
-            "--out: a.xyz must end in .csv or",
-        ),
-        (("reconstruct", "frame.toml", "--record", "shaken.toml", "--configuration", "other"), "configuration must be"),
+        (("reconstruct", *SHAKEN, "--out", "a.xyz"), "--out: a.xyz must end in .csv or"),
+        (("reconstruct", *SHAKEN, "--configuration", "other"), "configuration must be"),
     ],
 )
 def test_bad_input(folder, refused, arguments, message):
