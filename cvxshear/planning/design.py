@@ -185,7 +185,7 @@ class Design:
 
 
 def _place(prior: Prior, n: int) -> slice:
-    return slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
+    return slice(n) if prior.quantity == "floor_mass" else slice(n, None)
 
 
 def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:

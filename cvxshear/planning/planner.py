@@ -296,10 +296,8 @@ def mass_grid(limit: Floats) -> list[Floats]:
         Largest added mass of each floor, kg; zero if the floor cannot carry added mass.
     """
     n = len(limit)
-    patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
-    if n > 2:
-        half = np.arange(n) < n // 2
-        patterns += [half.astype(float), (~half).astype(float)]
+    half = np.arange(n) < n // 2
+    patterns = [np.zeros(n), *np.eye(n), np.ones(n), half, ~half]
     tests = [part * pattern * limit for pattern in patterns for part in PARTS]
     return list({tuple(np.round(test, 9)): test for test in tests}.values())
 

@@ -465,3 +465,12 @@ def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(
 def test_what_a_release_leaves_in_the_model_is_no_spike():
     """The spike model uses the 24 preceding samples; nine samples after this release, its error is ten deviations."""
     assert "spikes" not in {finding.kind for finding in examined(sound_record(120002, "free_decay")).findings}
+
+
+@pytest.mark.parametrize("place", [24, 25, 600, 1175])
+def test_a_spike_is_found_wherever_the_model_reaches(place):
+    record = ambient_record(PAPER_FRAME, 3, noise=0.01, duration=60.0)
+    values = record.runs[0].responses.copy()
+    values[place, 1] += 30 * values[:, 1].std()
+    (spike,) = examined(dataclasses.replace(record, runs=(Run(values),))).findings
+    assert (spike.kind, spike.numbers) == ("spikes", {"channel": "floor2", "samples": 1})
