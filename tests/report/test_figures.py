@@ -66,16 +66,11 @@ def test_no_text_of_a_loops_figure_overlaps_or_is_cut_off(draw, result, request)
 
 def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_story, no_heights):
     two_stage = cvxshear.identify(paper.experiment, method="two-stage")
-    for figure in (
-        figures.frame(two_stage),
-        figures.frame(no_heights),
-        figures.mac(two_stage),
-        figures.noise_boxes(study),
-        figures.noise_variation(study),
-        figures.noise_boxes(six_story),
-        figures.noise_variation(six_story),
-    ):
+    for figure in (figures.frame(two_stage), figures.frame(no_heights), figures.mac(two_stage)):
         assert_readable(figure)
+    for result in (study, six_story):
+        assert_readable(figures.noise_boxes(result))
+        assert_readable(figures.noise_variation(result))
 
 
 def test_the_residual_is_in_the_noise_of_the_final_model(paper):
