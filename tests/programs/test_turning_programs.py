@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import programs
+from cvxshear import backends, programs
+from cvxshear.fit.turning_floors import HeldProgram
 from cvxshear.motions import THREE_MOTIONS, products
 from cvxshear.programs.turning import TurningTest
 from tests.fe.plan_frames import random_frame
@@ -128,6 +129,18 @@ def test_the_price_of_a_matrix_inequality_is_the_change_of_the_objective():
         moved = type(lmi)(lmi.name, lmi.constant + sign * step * np.eye(3), lmi.slopes)
         objectives.append(program.replace(lmi=(program.lmi[0], moved, program.lmi[2])).solve("clarabel").objective)
     assert (objectives[1] - objectives[0]) / (2 * step) == pytest.approx(-price, rel=1e-2)
+
+
+def test_a_matrix_at_its_limit_stays_singular_to_first_order_under_noise():
+    program, experiment = violated(), random_frame(3, 3).experiment(noise=0.002, seed=3, std=0.002)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    unit = test.even_masses[0] * experiment.units(1.0, 1.0)[experiment.of_floors]
+    held = HeldProgram.of(program, test.mass_rows(), test.even_masses, unit, backends.get("clarabel"))
+    least = []
+    for lmi in program.lmi:
+        v = np.linalg.eigh(lmi.at(held.solution.x))[1][:, 0]
+        least.append(np.linalg.norm(np.tensordot(lmi.slopes, np.outer(v, v), 2) @ held.response))
+    assert least[1] < 1e-6 * min(least[0], least[2])
 
 
 @pytest.mark.parametrize("seed", range(3))
