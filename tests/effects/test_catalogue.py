@@ -441,12 +441,8 @@ def test_a_loose_joint_costs_what_it_says():
 
 def test_joints_of_a_frame_without_columns_cannot_soften():
     """A fit may pass through a frame with all stiffness in braces: it is rejected without a division by zero."""
-    of = Experiment.from_dict(
-        {
-            "frame": {"total_mass": 2.0},
-            "configuration": [{"frequencies": [1.0, 2.5], "mode_shapes": [[0.6, 1.0], [1.0, -0.6]]}],
-        }
-    )
+    tested = {"frequencies": [1.0, 2.5], "mode_shapes": [[0.6, 1.0], [1.0, -0.6]]}
+    of = Experiment.from_dict({"frame": {"total_mass": 2.0}, "configuration": [tested]})
     state = compose(of, of.configurations[0], (), np.array([1.0, 1.0, 40.0, 40.0]))
     with pytest.raises(NoModesError, match="no story has columns"):
         dataclasses.replace(state, column_stiffness=np.zeros(2)).with_softer_joints(slice(1, None), 0.1, 0)
