@@ -1,6 +1,7 @@
 """Test the catalogue's facts about each effect: its places, its required data, its null value and its order."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from cvxshear.priors import Nominal, Ratio
 from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, Cable, composed, experiment, modes_with, placed, theta
 from tests.effects.test_derivatives import CASES
-from tests.frames import chain, configuration
+from tests.frames import ROOT, chain, configuration
 from tests.frames import experiment as declared
 
 ACTING = sorted(set(CASES) - {"bracing", "floor_mass"})
@@ -291,6 +292,18 @@ def test_the_probability_of_an_effect_is_that_of_being_anywhere(reference):
             state = item.placed.place.state if reference and effect.kind != "open" else None
             absent[state] = absent.get(state, 1.0) * (1 - item.probability)
         assert list(absent.values()) == pytest.approx([1 - effect.probability] * len(absent), rel=1e-9)
+
+
+def test_probabilities_and_sizes_are_those_whose_reasons_are_documented():
+    page, unit = (ROOT / "docs/theory/effects.md").read_text(encoding="utf-8"), Scale(1.0, 1.0, np.ones(5))
+    said = re.findall(r"^(\w+) +(\d+)%  (\w+) +(\S+)", page, re.MULTILINE)
+    found = [
+        (effect.name, f"{100 * effect.probability:.0f}", item.name, f"{size:.3g}" if np.isfinite(size) else "even,")
+        for effect in catalogue()
+        for item, size in zip(effect.parameters, effect.expected_sizes(unit), strict=True)
+    ]
+    # The last three are of floors that turn, which have a page of their own.
+    assert found[:-3] == said
 
 
 def test_half_of_all_tanks_are_on_the_roof():
