@@ -159,13 +159,8 @@ def test_two_modes_may_look_alike_where_floors_are_missing():
     i, j = np.array([3, 6]), np.array([[1], [5]])
     shapes = np.sin((2 * j - 1) * np.pi * i / 15)
     assert_allclose(shapes[0, 1] / shapes[0, 0], shapes[1, 1] / shapes[1, 0])
-    found = experiment(
-        frame={"total_mass": 7.0, "stories": 7},
-        frequencies=[1.0, 9.0],
-        modes=[1, 5],
-        measured_floors=[3, 6],
-        mode_shapes=shapes,
-    )
+    keys = {"frequencies": [1.0, 9.0], "modes": [1, 5], "measured_floors": [3, 6], "mode_shapes": shapes}
+    found = experiment(frame={"total_mass": 7.0, "stories": 7}, **keys)
     assert_allclose(found.configurations[0].mode_shapes, shapes)
 
 
