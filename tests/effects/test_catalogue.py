@@ -425,6 +425,7 @@ def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
     for start in effect.bound(tested).starts:
         for item, value in zip((mass, frequency), start, strict=True):
             assert item.lower < value <= item.upper
+    assert len(set(effect.bound(tested).starts)) == len(effect.bound(tested).starts)
     assert effect.places(tested) == [Place(floor=floor, state=state) for state in (None, *NAMES) for floor in FOUR]
     assert effect.places(experiment(configurations=1)) == [Place(floor=floor) for floor in FOUR]
     state = composed([placed("attached_mass", floor=2)], 0.0, 2.0)
