@@ -99,7 +99,7 @@ def with_changed_side(state: State, at: int, part: str | None, change: float, pa
         edges = np.array(signs) * state.experiment.half_plan[at, 1 - axis]
         members = np.zeros((len(edges), 3))
         members[:, axis], members[:, 2] = 1.0, edges if axis else -edges
-        shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(-1, 6).mean(axis=0)
+        shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(len(edges), 6).mean(axis=0)
         unit, d_unit = whole[axis] * shape, d_whole[:, axis, None] * shape
     k[own] += change * unit
     dk[:, own] += change * d_unit

@@ -6,7 +6,7 @@ import pytest
 import cvxshear
 from cvxshear.planning.choice import candidates
 from cvxshear.planning.design import Design
-from cvxshear.planning.expected_tests import UNKNOWN_STDS
+from cvxshear.planning.expected_tests import UNKNOWN_STDS, Declared
 from cvxshear.util.errors import InputError
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, frame_model, information_of, slow_covariance, tapered
@@ -127,3 +127,15 @@ def test_a_measured_frame_is_the_one_that_fits_best():
     np.testing.assert_allclose(design.sizes, [*mass, *stiffness], rtol=1e-6)
     assert (design.measured, Design.of_experiment(of, fresh=True).measured) == (of, None)
     assert design.declared == of.configurations
+
+
+def test_the_noise_of_a_plan_is_the_median_of_the_tests_before():
+    """Shapes may have any size; a test of frequencies alone says nothing of shapes."""
+    shown = configuration([4.0, 3.0], [900.0, 700.0], frequency_std=0.003, mode_shape_std=0.02)
+    shown["mode_shapes"] = (3.0 * np.array(shown["mode_shapes"])).tolist()
+    alone = {"frequencies": shown["frequencies"][:1], "frequency_std": 0.005}
+    tests = cvxshear.Experiment.from_dict(experiment([4.0, 3.0], [900.0, 700.0], shown, alone)).configurations
+    assert Declared.of_tests(tests).frequency_std == pytest.approx(0.003)
+    assert Declared.of_tests(tests).mode_shape_std == pytest.approx(0.02)
+    assert Declared.of_tests(tests[1:]) == Declared(0.005)
+    assert Declared.of_tests([]) == Declared()
