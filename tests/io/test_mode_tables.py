@@ -70,6 +70,7 @@ def test_an_empty_cell_was_not_measured(tmp_path):
         ("frequency,floor 1\n2.9,x\n", "", "line 2: column \"floor 1\" holds 'x', which is not a number"),
         ("frequency,floor 1\n,1.0\n", "", 'line 2: column "frequency" is empty'),
         ("frequency,roof\n2.9,1.0\n", "", 'column "roof" is not one of a table of modes'),
+        ("frequency,floor 0,floor 1\n2.9,0,1\n", "", 'column "floor 0" is not one of a table of modes'),
         ("frequency,floor 1,floor 1\n2.9,1,1\n", "", 'has two columns named "floor 1"'),
         ("mode,floor 1\n1,1.0\n", "", 'needs a column "frequency"'),
         ("frequency,floor 1\n2.9,1.0,3.0\n", "", "line 2 has 3 cells where the header names 2 columns"),
