@@ -128,7 +128,8 @@ def _doubt(result: LoopResult) -> str:
         return "nothing could speak against it, as there are no more data than unknowns"
     if not result.effects and raised and (result.verdict == "adequate" or not in_doubt(result)):
         best = raised[0]
-        said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
+        grown = f"{chance(best.probability)}, before {chance(best.prior)}"
+        said = f"of what the data make more probable, {best.placed.label} comes first ({grown})"
     elif _piled(result):
         said = "so many kinds of cause at once are less probable than one that nobody thought of"
     elif doubtful and len(result.effects) <= NAMED:

@@ -144,7 +144,7 @@ def frame_table(
         factor, shown = known(values.tolist()) if known else quantities.fitting(values.tolist(), unit)
         at_bound = frame.stopped(name)
         texts = (
-            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
+            f"{quantities.significant(value / factor, 5)} (at a bound)" if stopped else text
             for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         )
         head = f"{name.removeprefix('story_').removeprefix('floor_').replace('_', ' ')}, {shown}"

@@ -100,7 +100,7 @@ def test_an_adequate_headline_says_within_which_noise(paper):
     adequate = dataclasses.replace(paper, verdict="adequate", effects=(), steps=paper.steps[-1:])
     factor = paper.noise.to_dict()["frequency"]["factor"]
     assert f"within an estimated noise of {0.2 * factor:.2f} % of frequencies" in headline(adequate)
-    assert "gravity is the most probable" in headline(adequate)
+    assert f"gravity comes first ({chance(paper.candidates[0].probability)}, before 50.0 %)" in headline(adequate)
 
 
 def test_the_headline_names_the_error_of_the_data_that_carried_the_verdict(paper):
