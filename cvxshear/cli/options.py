@@ -159,7 +159,7 @@ def writes(*names: str, endings: Sequence[str], what: str = "", metavar: str = "
     """Declare an option that names an output file with one of these endings, which is checked before the command."""
 
     def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
-        if path is not None and path != "-" and not context.resilient_parsing:
+        if path is not None and (path != "-" or ".json" not in endings) and not context.resilient_parsing:
             claim(context, option.opts[0], path, endings)
         return path
 

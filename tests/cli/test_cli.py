@@ -96,7 +96,7 @@ def test_backends_lists_every_installed_one(run, printed):
     failed = {(row["kind"].split()[0], row["backend"]) for row in result["rows"] if row["failure"]}
     # Goldfarb and Idnani's method needs a positive definite Hessian.
     assert failed == {("bounded", "kkt"), ("singular", "kkt"), ("singular", "quadprog")}
-    out = printed("backends", THREE)
+    out = printed("backends", THREE, "--names", "")
     assert "takes no active bound" in out
 
 
@@ -110,6 +110,8 @@ def test_backends_lists_every_installed_one(run, printed):
         (["identify", THREE, "--initial-mass", "9.5;7.5"], "--initial-mass must be numbers with commas between"),
         (["loop", "paper", "--effects", "gravty"], "did you mean 'gravity'"),
         (["loop", "paper", "--assume", "sensor_gain"], "can sit at 8 places"),
+        (["modes", "paper"], "paper is a measurement file"),
+        (["identify", "paper", "--csv", "-"], "--csv: - must end in .csv"),
     ],
 )
 def test_bad_input_is_status_two_one_line_and_no_traceback(refused, arguments, said):
