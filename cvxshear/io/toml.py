@@ -5,7 +5,6 @@ import re
 import textwrap
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -75,7 +74,7 @@ def load(path: str | Path) -> Experiment:
         for each in experiment.expected:
             effect = known[checks.choice(each.name, list(known), "effect: name")]
             places = [] if effect.unavailable(experiment) else effect.places(experiment)
-            if places and not any(each.concerns(each.name, asdict(place)) for place in places):
+            if places and not any(each.concerns(each.name, vars(place)) for place in places):
                 said = {key: getattr(each, key) for key in ("floor", "to", "story", "state")}
                 given = ", ".join(f"{key} = {value}" for key, value in said.items() if value is not None)
                 nearest = max(places, key=lambda place: sum(getattr(place, key) == said[key] for key in said))

@@ -111,6 +111,7 @@ def test_backends_lists_every_installed_one(run, printed):
         (["loop", "paper", "--effects", "gravty"], "did you mean 'gravity'"),
         (["loop", "paper", "--assume", "sensor_gain"], "can sit at 8 places"),
         (["modes", "paper"], "paper is a measurement file"),
+        (["identify", "x" * 300], "cannot be read: "),
         (["identify", "paper", "--csv", "-"], "--csv: - must end in .csv"),
     ],
 )
