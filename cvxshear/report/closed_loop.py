@@ -40,7 +40,8 @@ def _closure(result: LoopResult) -> blocks.Document:
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
-    title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
+    title = result.experiment.report.title or result.experiment.name
+    text = f"{result.verdict.upper()}: {headline.headline(result)}"
     data = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
     line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"

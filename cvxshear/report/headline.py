@@ -212,8 +212,7 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
     """
     first, last = chi2_by_kind(before), chi2_by_kind(after)
     falls = {kind: max(value - last.get(kind, 0.0), 0.0) for kind, value in first.items()}
-    total = sum(falls.values())
-    if total <= 0:
+    if (total := sum(falls.values())) <= 0:
         return {}
     return {kind: falls[kind] / total for kind in ranking.ranked(falls, falls.__getitem__)}
 
