@@ -138,7 +138,7 @@ def _by_state(
 ) -> Iterator[blocks.Table]:
     """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
     judged, experiment = result.judged, result.experiment
-    tests = {each.state: each for each in reversed(experiment.configurations)}
+    tests = {each.state: each for each in reversed(experiment.tested)}
     first = experiment.frame.reference
     states = sorted(experiment.states, key=lambda name: name != first)
     found = [(f'"{name}"', quantity(compose(experiment, tests[name], judged.effects, judged.theta))) for name in states]

@@ -49,12 +49,12 @@ def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
     """Yield the noise of each kind of data."""
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
+        partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
         if estimated is None:
-            yield name, "as stated"
+            yield name, "as stated" if partly else "the default: neither stated nor told by the data"
             continue
         factor, std = estimated["factor"], estimated["std"]
         (size, size_std), unit = kind.sized(factor, std)
-        partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
         where = ", where it is not stated" if partly else ""
         yield name, f"{with_std(size, size_std, unit)} (estimated: {with_std(factor, std)} times the default{where})"
 
