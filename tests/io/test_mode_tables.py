@@ -57,7 +57,7 @@ def test_what_the_table_says_besides(tmp_path):
 
 
 def test_an_empty_cell_was_not_measured(tmp_path):
-    (tmp_path / "modes.csv").write_text("frequency,floor 1,floor 3\n1.0,0.4,1.0\n3.0,,1.0\n")
+    (tmp_path / "modes.csv").write_text("frequency,floor 1,floor 3\n1.0,0.4,1.0\n3.0,,1.0\n,,\n")
     one = cvxshear.load(measurement(tmp_path, 'csv = "modes.csv"', "stories = 3")).configurations[0]
     np.testing.assert_array_equal(one.measured_floors, [1, 3])
     np.testing.assert_array_equal(one.mode_shapes, [[0.4, 1.0], [np.nan, 1.0]])
