@@ -79,7 +79,7 @@ def load(path: str | Path) -> Experiment:
                 given = ", ".join(f"{key} = {value}" for key, value in said.items() if value is not None)
                 nearest = max(places, key=lambda place: sum(getattr(place, key) == said[key] for key in said))
                 there = nearest.describe() or "the whole frame"
-                raise InputError(f"effect {each.name}: {given} is no place of it; {there} is one")
+                raise InputError(f"effect {each.name}: {given} is no place of it; one is: {there}")
     return experiment
 
 
