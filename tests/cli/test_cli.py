@@ -83,8 +83,8 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(printed, tmp_
 def test_effects_can_be_restricted_and_assumed(run):
     result = json.loads(run("loop", "paper", "--effects", "sensor_gain, story_change", "--json", "-")[1])
     assert {item["name"] for item in result["candidates"]} == {"sensor_gain", "story_change"}
-    assumed = json.loads(run("loop", "paper", "--assume", "gravity", "--json", "-")[1])
-    assert assumed["assumed"][0]["name"] == "gravity"
+    assumed = json.loads(run("loop", "paper", "--assume", "gravity,gravity", "--json", "-")[1])
+    assert [each["name"] for each in assumed["assumed"]] == ["gravity"]
 
 
 def test_backends_lists_every_installed_one(run, printed):
