@@ -205,7 +205,8 @@ def read_mode_xlsx(path: str | Path) -> Json:
 
 def _modes_of(columns: Columns) -> Json:
     """Return the keys of a configuration that a table holds; empty lines at its end do not count."""
-    columns = columns.rows(slice(len(np.trim_zeros(np.isfinite(columns.values).any(axis=1), "b"))))
+    filled = np.flatnonzero(np.isfinite(columns.values).any(axis=1))
+    columns = columns.rows(slice(int(np.max(filled, initial=-1)) + 1))
     source, values = columns.source, columns.values
     found = _places(columns, _mode_key, "a table of modes: mode, frequency, frequency std, damping, floor 1, ...")
     places = {key: place for (key, floor, _), place in found.items() if floor == 0}
