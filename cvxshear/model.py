@@ -105,12 +105,7 @@ class FrameSystem(System):
     """
 
     def __init__(self, motions: Motions, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
-        put = object.__setattr__
-        put(self, "M", M)
-        put(self, "K", K)
-        put(self, "_motions", motions)
-        put(self, "_size", size)
-        put(self, "_which", which)
+        self.__dict__.update(M=M, K=K, _motions=motions, _size=size, _which=which)
 
     _motions: Motions
     _size: int
@@ -239,8 +234,7 @@ class SummedSystem(System):
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
     """Assemble the shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
-    dM, dK = unit_derivatives(ONE_MOTION, len(floor_mass))
-    return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
+    return FrameSystem(ONE_MOTION, mass_matrix(floor_mass), stiffness_matrix(story_stiffness), 2 * len(floor_mass))
 
 
 @dataclass(frozen=True, eq=False)

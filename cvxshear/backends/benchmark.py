@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.backends.base import Backend
 from cvxshear.backends.solvers import available, get
 from cvxshear.programs import LeastSquares, Solution
-from cvxshear.programs.certificate import Acceptance
+from cvxshear.programs.certificate import Acceptance, Assembled, largest_relative
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.results import Shown
@@ -178,13 +178,14 @@ def _compared(
     kind: str, programs: Sequence[BenchmarkProgram], chosen: Sequence[Backend], repeats: int
 ) -> list[BackendResult]:
     """One row a backend, for the programs of one kind."""
-    answers = {backend.name: _Answers.of(backend, programs, repeats) for backend in chosen}
-    reference, said = answers.get("kkt") or _Answers.of(get("kkt"), programs, repeats), "closed form"
+    answers = [_Answers.of(backend, programs, repeats) for backend in chosen]
+    named = dict(zip((backend.name for backend in chosen), answers, strict=True))
+    reference, said = named.get("kkt") or _Answers.of(get("kkt"), programs, repeats), "closed form"
     if reference.failure:
         reference, said = _Answers.of(get("auto"), programs, repeats), "auto"
     return [
         item.result(kind, backend, len(programs), reference, said)
-        for backend, item in zip(chosen, answers.values(), strict=True)
+        for backend, item in zip(chosen, answers, strict=True)
     ]
 
 
@@ -216,12 +217,12 @@ class _Answers:
         iterations = [item.iterations for item in self.solutions]
         accepted = [item.acceptance for item in self.solutions]
         # One of the two is empty if a program was not solved.
-        pairs = zip(self.values, reference.values, strict=False)
+        pairs = zip(self.values, reference.values, self.solutions, strict=False)
         return BackendResult(
             kind=kind,
             backend=backend.name,
             programs=programs,
-            difference=_largest([float(np.max(np.abs(a - b) / np.abs(b))) for a, b in pairs]),
+            difference=_largest([_difference(a, b, solution.program) for a, b, solution in pairs]),
             reference=said,
             **{name: _largest([each[name] for each in certificates]) for name in figures},
             iterations=None if self.failure or None in iterations else sum(item or 0 for item in iterations),
@@ -233,6 +234,12 @@ class _Answers:
             polished=accepted.count(Acceptance.POLISHED),
             replaced=accepted.count(Acceptance.REPLACED),
         )
+
+
+def _difference(found: Floats, reference: Floats, program: LeastSquares) -> float:
+    """Compute the largest difference, relative to the reference; near zero, to the rest of its size (`Certificate`)."""
+    rest = Assembled(program).size(reference) - np.abs(reference)
+    return largest_relative(np.abs(found - reference), np.maximum(np.abs(reference), rest))
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

@@ -152,7 +152,7 @@ def canonical(program: LeastSquares) -> Canonical:
     Raises
     ------
     InfeasibleError
-        If equalities contradict each other, or an inequality states that 0 x is at most a negative number.
+        If equalities contradict each other.
     """
     R, s = program.weighted
     A, b = program.equalities

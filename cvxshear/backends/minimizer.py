@@ -198,7 +198,8 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
             break
     residual = program.s - program.R @ x
     multipliers = np.zeros(len(rows))
-    multipliers[keep] = basis.multipliers(scaled.T @ residual)
+    if len(keep):
+        multipliers[keep] = basis.multipliers(scaled.T @ residual)
     multipliers /= lengths
     w = np.zeros(len(program.h))
     w[active] = multipliers[len(program.b) :]
@@ -324,8 +325,6 @@ class _Basis:
         return self._applied("L", "N", padded).reshape((self._n, *c.shape[1:]))
 
     def multipliers(self, pull: Floats) -> Floats:
-        """Combine B's rows to come closest to a vector, and return their coefficients."""
-        if not self._p:
-            return np.zeros(0)
+        """Combine B's rows, one at least, to come closest to a vector, and return their coefficients."""
         t = self._applied("L", "T", pull[:, None])[: self._p, 0]
         return np.asarray(lapack.dtrtrs(self._reflectors[: self._p], t)[0])

@@ -26,8 +26,10 @@ import numpy as np
 
 from cvxshear.backends.base import CONIC, Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.programs import LeastSquares, Solution
+from cvxshear.priors import Constraints
+from cvxshear.programs import LeastSquares, NamedConstraints, Solution
 from cvxshear.programs.certificate import Assembled
+from cvxshear.programs.constraints import refuse_contradictions
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.results import InJson
@@ -374,7 +376,9 @@ _registered: dict[str, Backend] = {}
 
 def register(backend: Backend) -> None:
     """Register a backend by its name; it replaces a backend of the same name."""
-    _registered[backend.name] = backend
+    if not isinstance(backend, Backend):
+        raise InputError(f"a backend must be an instance of cvxshear.backends.Backend, not {checks.shown(backend)}")
+    _registered[checks.text(getattr(backend, "name", None), "name of a backend")] = backend
 
 
 @cache
@@ -400,7 +404,25 @@ def available() -> list[str]:
 
 def solve(program: LeastSquares, backend: str | Backend, options: Mapping[str, Any]) -> Solution:
     """Solve a program with a backend and options of its solver, see `LeastSquares.solve`."""
-    return get(backend).with_options(options).solve(program)
+    rows, columns, *_ = *np.shape(program.R), 0, 0
+    needed = {"R": (rows, columns), "s": (rows,)} | ({} if program.W is None else {"W": (rows,)})
+    for name, shape in needed.items():
+        value = getattr(program, name)
+        if not isinstance(value, np.ndarray) or value.shape != shape or not np.all(np.isfinite(value)):
+            raise InputError(f"{name} of a program must be an array of finite numbers, of the shape {shape}")
+    statements = [
+        NamedConstraints("A x = b", Constraints(A=program.A, b=program.b)),
+        NamedConstraints("G x <= h", Constraints(G=program.G, h=program.h)),
+        NamedConstraints("x >= lower", Constraints(lower=program.lower)),
+        NamedConstraints("x <= upper", Constraints(upper=program.upper)),
+    ]
+    for each in statements:
+        each.constraints.check(program.unknowns, each.name)
+    try:
+        return get(backend).with_options(options).solve(program)
+    except NoSolutionError:
+        refuse_contradictions(statements, program.unknowns)
+        raise
 
 
 def listed() -> list[Solver]:
@@ -426,7 +448,7 @@ def get(backend: str | Backend) -> Backend:
     if isinstance(backend, Backend):
         return backend
     known = {**_installed(), **_registered}
-    if backend in known:
+    if isinstance(backend, str) and backend in known:
         return known[backend]
     if backend == "auto":
         return _auto()

@@ -27,13 +27,17 @@ def mac(first: Floats | Complexes, second: Floats | Complexes) -> float:
     return float(product / (np.vdot(first, first).real * np.vdot(second, second).real))
 
 
-def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats, Floats]:
+def scaled(
+    measured: Floats, modelled: Floats, weights: Floats, *, mass_normalized: bool = False
+) -> tuple[Floats, Floats]:
     """Scales by least squares, and the unit vectors u, of each row.
 
     Parameters
     ----------
     measured, modelled, weights : ndarray, shape (m, n)
         Weight zero for missing entries.
+    mass_normalized : bool, optional
+        Whether the scale is a sign alone.
 
     Returns
     -------
@@ -43,7 +47,8 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
     weighted = weights * modelled
     length = np.sum(weighted**2, axis=1)
     safe = np.where(length > 0, length, 1.0)
-    return np.sum(weighted * weights * measured, axis=1) / safe, weighted / np.sqrt(safe)[:, None]
+    scale = np.sum(weighted * weights * measured, axis=1) / safe
+    return np.where(scale < 0, -1.0, 1.0) if mass_normalized else scale, weighted / np.sqrt(safe)[:, None]
 
 
 def frequency_residual(
@@ -103,9 +108,7 @@ def shape_residual(
     J : ndarray, shape (m n, p)
         Of no rows without `slopes`.
     """
-    scale, unit = scaled(measured, modelled, weights)
-    if mass_normalized:
-        scale = np.where(scale < 0, -1.0, 1.0)
+    scale, unit = scaled(measured, modelled, weights, mass_normalized=mass_normalized)
     r = (weights * (scale[:, None] * modelled - measured)).ravel()
     if slopes is None:
         return r, np.zeros((0, 0))
@@ -218,10 +221,8 @@ class Shapes(_OfModes):
 
     def seen(self, model: Model) -> Floats:
         """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (used, n)."""
-        psi = self._seen(model)
-        scale, _ = scaled(self.tested.known_shapes[self.used], psi, self.tested.entry_weights[self.used])
-        if self.tested.mass_normalized:
-            scale = np.where(scale < 0, -1.0, 1.0)
+        psi, measured, weights = self._seen(model), self.tested.known_shapes, self.tested.entry_weights
+        scale, _ = scaled(measured[self.used], psi, weights[self.used], mass_normalized=self.tested.mass_normalized)
         return scale[:, None] * psi
 
     @property

@@ -11,18 +11,9 @@ import numpy as np
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters, TurnedAxes
 from cvxshear.effects.composition import compose
-from cvxshear.effects.masses import (
-    AddedMass,
-    AttachedMass,
-    FloorMass,
-    LoadMounting,
-    LoadScale,
-    MassCoupling,
-    StateMass,
-    TotalMass,
-)  # fmt: skip
+from cvxshear.effects.masses import AddedMass, AttachedMass, LoadMounting, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.open_class import OPEN_CLASSES
-from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
+from cvxshear.effects.readings import FloorMass, ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.effects.stories import Bracing, JointRelease, JointRotation, SoftFeet, StateStiffness, StoryChange
 from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, GroundSpring, Spring, Wall

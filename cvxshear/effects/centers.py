@@ -53,8 +53,7 @@ class _Eccentric(_Asymmetric):
     probability = 0.3
 
     def places(self, experiment: Experiment) -> list[Place]:
-        levels = super().places(experiment)
-        return [replace(at, part=axis) for at in levels for axis in MOVED]
+        return [replace(at, part=axis) for at in super().places(experiment) for axis in MOVED]
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         coordinate = f"{str(place.part)[-1]} = {with_std(values[0], std[0], 'm')}"
@@ -103,6 +102,7 @@ class TurnedAxes(_Asymmetric):
     summary = "The principal axes of a story, or of all stories, are not x and y: oblique walls, or a turned frame."
     formula = "K_s + o (k_x + k_y) / 2 between x and y"
     source = "a symmetric matrix of two motions has principal axes"
+    stage = "axes"
     parameters = (Parameter("o", "", lower=-1.0, upper=1.0),)
     sits_at = ("story",)
     usual = 0.12

@@ -8,7 +8,7 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
-from cvxshear.model import FrameSystem, Observation, System, mass_matrix, stiffness_matrix, transformation
+from cvxshear.model import FrameSystem, Observation, mass_matrix, stiffness_matrix, transformation
 from cvxshear.motions import THREE_MOTIONS, unit_derivatives
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
@@ -38,17 +38,11 @@ def compose(
     """
     acting = [item for item in slices(effects, experiment.parameters) if item[0].acts_on(tested)]
     acting.sort(key=lambda item: STAGES.index(item[0].effect.stage))
-    n, size = experiment.stories, len(theta)
+    n, size = experiment.stories, len(theta) if derivatives or effects else 0
     mass, stiffness = theta[experiment.of_floors], theta[experiment.of_stories]
-    if not derivatives and not effects:
-        size = 0
-        M, K = _matrices(experiment, tested, mass, stiffness)
-        none = np.zeros((0, *M.shape))
-        system = System(M, K, none, none)
-    else:
-        if acting:
-            _refuse_large(n, size, experiment.motions.count)
-        system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
+    if acting:
+        _refuse_large(n, size, experiment.motions.count)
+    system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), len(theta), slice(size))
     by_stiffness = np.eye(size, len(stiffness), -len(mass))
     if experiment.frame.turns:
         stiffness, by_stiffness = (_all_entries(each, n) for each in (stiffness, by_stiffness))
@@ -75,8 +69,10 @@ def compose(
         state = _assembled(state)
     for placed, own in acting[len(frame) :]:
         state = _applied(placed, state, theta, own)
-    if acting:
-        _refuse_not_finite(state.system, acting)
+    for name, array in state.system.arrays() if acting else ():
+        if not np.isfinite(np.sum(array)):
+            names = ", ".join(placed.label for placed, _ in acting)
+            raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
     return state
 
 
@@ -92,14 +88,6 @@ def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> 
     if not isinstance(found, State):
         raise FaultyEffectError(f"{placed.label}: apply() returned a {type(found).__name__}, not a State")
     return found
-
-
-def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, slice]]) -> None:
-    """Raise an error if effects made a matrix or a derivative that is not finite."""
-    for name, array in system.arrays():
-        if not np.isfinite(np.sum(array)):
-            names = ", ".join(placed.label for placed, _ in effects)
-            raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
 def _all_entries(stiffness: Floats, stories: int) -> Floats:

@@ -140,7 +140,7 @@ class StateMass(Effect):
     summary = "All floors weigh more or less in one state by the same factor: live load, water, people."
     formula = "m_i (1 + e) for every floor i, in one state"
     source = "one factor on the floor masses"
-    stage = "mass"
+    stage = "floor"
     floors_move = ("one", "three")
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
     says = 'all floors of "{place.state}" are {size} {word}'
@@ -200,20 +200,13 @@ def on_floors(floors: Sequence[int], stories: int) -> Floats:
 
 
 def _all_heavier(state: State, part: float, own: slice) -> State:
-    """Multiply all floor masses by 1 + part; of floors that turn, their matrices."""
-    if state.experiment.frame.turns:
-        test = state.tested
-        assert isinstance(test, Configuration)
-        own_mass = state.system.M - THREE_MOTIONS.loads(test.added_mass, test.added_mass_position)
-        dM = (1.0 + part) * state.system.dM
-        dM[own] += own_mass
-        return state.with_mass(state.system.M + part * own_mass, dM)
-    at = np.arange(len(state.floor_mass))
-    M, dM = state.system.M.copy(), state.system.dM.copy()
-    M[at, at] += part * state.floor_mass
-    dM[at, at, at] += part
-    dM[own, at, at] += state.floor_mass
-    return state.with_mass(M, dM)
+    """Multiply the mass matrix without the declared added masses by 1 + part."""
+    test = state.tested
+    places = test.added_mass_position if isinstance(test, Configuration) else np.zeros(0)
+    own_mass = state.system.M - state.experiment.motions.loads(test.added_mass, places)
+    dM = (1.0 + part) * state.system.dM
+    dM[own] += own_mass
+    return state.with_mass(state.system.M + part * own_mass, dM)
 
 
 def _ends(stories: int) -> Floats:
@@ -237,7 +230,7 @@ class TotalMass(Effect):
     summary = "The frame is heavier or lighter than its declared total mass or floor masses, all by one factor."
     formula = "sum of m = total_mass (1 + e), or m_i = floor_masses_i (1 + e) for every floor i"
     source = "error of the declared total mass, or of a density on all floors"
-    stage = "mass"
+    stage = "floor"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
     says = "the frame is {size} {word} than its declared total mass"
     words = HEAVIER
@@ -277,42 +270,6 @@ class TotalMass(Effect):
         if not experiment.scale_known_otherwise:
             return "what else tells the scale of the masses, such as a second test with other added mass"
         return ""
-
-
-class FloorMass(Effect):
-    """M + mass e_j e_j' at one floor in every state: the declared mass of that floor is wrong.
-
-    Considered if floor_masses are declared, which are exact; an identified mass would absorb the effect.
-
-    Expected size: a quarter of the mean floor mass, such as a floor finish or a facade that the estimate from drawings
-    omits. Floor masses declared exact were usually weighed: one frame in twenty has a wrong entry.
-    """
-
-    name = "floor_mass"
-    summary = "A floor is heavier or lighter than its entry of floor_masses."
-    formula = "M + mass e_j e_j' in every state"
-    source = "error of one declared floor mass"
-    stage = "mass"
-    parameters = (Parameter("mass", "kg"),)
-    says = "floor {place.floor} is {size} {word} than declared"
-    words = HEAVIER
-    usual, usual_in = 0.25, "floor_mass"
-    probability = 0.05
-    sits_at = ("floor",)
-
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
-
-    def corrects(self, place: Place, floor_mass: Floats) -> Floats:
-        return np.eye(len(floor_mass))[:, [place.floor_index]]
-
-    def lacks(self, experiment: Experiment) -> str:
-        return "floor_masses" if experiment.frame.floor_masses is None else ""
-
-    def limits(self, experiment: Experiment, place: Place) -> Constraints:
-        row = np.zeros(2 * experiment.stories + 1)
-        row[place.floor_index] = row[-1] = -1.0
-        return Constraints(G=row[None], h=np.zeros(1))
 
 
 class LoadScale(Effect):

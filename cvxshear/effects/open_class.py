@@ -76,8 +76,7 @@ class OpenClass(Effect):
         """List the significant entries, the most significant first and not more than a sentence can name."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
-        order = [i for i in ranking.order(z) if z[i] >= STANDS_OUT]
-        return order[:most]
+        return [i for i in ranking.order(z) if z[i] >= STANDS_OUT][:most]
 
 
 def named_pair(i: int, j: int) -> str:
@@ -326,7 +325,7 @@ class OtherShapes(_LessAccurate):
     holds_in_words = "that the shapes are as accurate as their standard deviations"
 
     def lacks(self, experiment: Experiment) -> str:
-        return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
+        return "" if self.places(experiment) else "shapes of a declared accuracy"
 
     def places(self, experiment: Experiment) -> list[Place]:
         """List each state with shapes, each floor with a sensor, and all at once, if an accuracy was declared.

@@ -1,4 +1,4 @@
-"""Errors of sensor readings and of declared statements."""
+"""Errors of sensor readings, of declared masses and of declared statements."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.masses import HEAVIER, on_floors
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.declaration import StaticTest
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
@@ -138,6 +139,42 @@ class ForceScale(Effect):
         dK = part * state.system.dK
         dK[own] -= part**2 * state.system.K
         return state.with_stiffness(part * state.system.K, dK)
+
+
+class FloorMass(Effect):
+    """M + mass e_j e_j' at one floor in every state: the declared mass of that floor is wrong.
+
+    Considered if floor_masses are declared, which are exact; an identified mass would absorb the effect.
+
+    Expected size: a quarter of the mean floor mass, such as a floor finish or a facade that the estimate from drawings
+    omits. Floor masses declared exact were usually weighed: one frame in twenty has a wrong entry.
+    """
+
+    name = "floor_mass"
+    summary = "A floor is heavier or lighter than its entry of floor_masses."
+    formula = "M + mass e_j e_j' in every state"
+    source = "error of one declared floor mass"
+    stage = "mass"
+    parameters = (Parameter("mass", "kg"),)
+    says = "floor {place.floor} is {size} {word} than declared"
+    words = HEAVIER
+    usual, usual_in = 0.25, "floor_mass"
+    probability = 0.05
+    sits_at = ("floor",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
+
+    def corrects(self, place: Place, floor_mass: Floats) -> Floats:
+        return np.eye(len(floor_mass))[:, [place.floor_index]]
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "floor_masses" if experiment.frame.floor_masses is None else ""
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        row = np.zeros(2 * experiment.stories + 1)
+        row[place.floor_index] = row[-1] = -1.0
+        return Constraints(G=row[None], h=np.zeros(1))
 
 
 class _Statement(Effect):

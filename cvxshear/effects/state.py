@@ -13,14 +13,14 @@ from cvxshear.util import decorators
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-#: Order of the effects on a tested state, independent of the order of their names: the centers of floors and stories
-#: that turn, the braces' part of the stories, the story stiffnesses, the joints between columns and beams, the
-#: differences of the beams between floors, added flexibility of the frame, added springs, masses, the weight of these
-#: masses, the coupling of masses, attached masses, and the sensors' readings of the shapes. The stiffness matrix is
-#: assembled before the flexibility.
+#: Order of the effects on a tested state, independent of the order of their names: the axes of stories that turn, the
+#: centers of floors and stories that turn, the braces' part of the stories, the story stiffnesses, the joints between
+#: columns and beams, the differences of the beams between floors, added flexibility of the frame, added springs, the
+#: floors' own masses, added masses, the weight of these masses, the coupling of masses, attached masses, and the
+#: sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility.
 STAGES = (
-    "center", "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment",
-    "shape",
+    "axes", "center", "bracing", "story", "joint", "beams", "flexibility", "spring", "floor", "mass", "gravity",
+    "inertia", "attachment", "shape",
 )  # fmt: skip
 
 

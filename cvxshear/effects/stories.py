@@ -99,7 +99,7 @@ def with_changed_side(state: State, at: int, part: str | None, change: float, pa
         edges = np.array(signs) * state.experiment.half_plan[at, 1 - axis]
         members = np.zeros((len(edges), 3))
         members[:, axis], members[:, 2] = 1.0, edges if axis else -edges
-        shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(-1, 6).mean(axis=0)
+        shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(len(edges), 6).mean(axis=0)
         unit, d_unit = whole[axis] * shape, d_whole[:, axis, None] * shape
     k[own] += change * unit
     dk[:, own] += change * d_unit
@@ -123,8 +123,8 @@ def with_changed_story(state: State, at: int, change: float, parameter: int) -> 
     brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
     gained, d_gained = change * k[at], change * dk[:, at]
     d_gained[parameter] += k[at]
-    if abs(gained) > brace[at]:
-        # The braces are gone, or have twice their stiffness; the columns take the rest.
+    if abs(gained) >= brace[at]:
+        # The braces are gone, or have twice their stiffness; the columns take the rest. Without braces they take all.
         factor = 1.0 + np.sign(gained)
         brace[at] *= factor
         d_brace[:, at] *= factor

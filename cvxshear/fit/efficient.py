@@ -20,7 +20,7 @@ from cvxshear.fit.start import nearest_first
 from cvxshear.fit.turning_floors import TurningFrame, general_parameters, one_shot_open, reported
 from cvxshear.measurement.experiment import MOTIONS, Experiment
 from cvxshear.programs import ActiveConstraint, LeastSquares
-from cvxshear.programs.constraints import refuse_contradicting
+from cvxshear.programs.constraints import refuse_infeasible
 from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Floats
 
@@ -336,7 +336,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
     """
     misfit = Misfit(experiment, effects)
     _refuse_large(misfit)
-    refuse_contradicting(experiment)
+    refuse_infeasible(experiment)
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: errors.CvxshearError | None = None

@@ -13,6 +13,7 @@ is spent, and then it says what it has not tried. Sets that tie are tried with e
 import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
-#: Number of best visited sets that are expanded.
+#: Number of best visited sets that are expanded, and of further effects that are fitted alone when a set is expanded.
 BEAM = 6
 
 #: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
@@ -38,9 +39,6 @@ WITHIN = float(-np.log(REPORTED))
 #: them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be
 #: wrong: without this rule, an effect that no datum concerns loses its prior probability.
 TIE = 2.0
-
-#: Largest number of further effects, each fitted alone, when a set is expanded.
-MOST_FURTHER = 10
 
 #: Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded.
 RESCALING = 3
@@ -57,6 +55,7 @@ MOST_WORK = 1500
 TWINS_DIFFER = 0.1
 
 Set = frozenset[LocatedEffect]
+Item = TypeVar("Item")
 
 
 class Search:
@@ -85,20 +84,9 @@ class Search:
 
     @property
     def beam(self) -> list[ModelClass]:
-        """Most probable sets so far.
-
-        Sets with an open class are counted apart, because a class can join every cause.
-        """
+        """Most probable sets so far."""
         fitted = ranking.ranked(self.visited.values(), lambda model: model.score, same=ranking.SAME_ODDS)
-        causes = [model for model in fitted if not holds_open(model.effects)][:BEAM]
-        others: list[ModelClass] = []
-        for model in fitted:
-            # A set that only adds effects to a better set would displace other explanations.
-            if holds_open(model.effects) and not any(better.effects < model.effects for better in others):
-                others.append(model)
-            if len(others) == BEAM // 2:
-                break
-        return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
+        return foremost(fitted, lambda model: model.effects)
 
     def _steps(self) -> Iterator[tuple[str, Callable[[ModelClass], None], Sequence[ModelClass]]]:
         """Yield what is tried in words, the step, and the sets that take it; each step begins when none before is left.
@@ -300,17 +288,8 @@ class Search:
             and not item.placed.effect.adds_motion
         ]
 
-    def _expand(self, model: ModelClass, barred: Set = frozenset(), behind: float | None = None) -> None:
-        """Visit the most promising sets with further effects, except the barred ones.
-
-        Parameters
-        ----------
-        model : ModelClass
-        barred : frozenset of LocatedEffect, optional
-        behind : float, optional
-            Distance in log probability that the further effects must close. Default: the distance from the best set;
-            none for the shear model, so that rivals of an effect tried first are found.
-        """
+    def _expand(self, model: ModelClass, barred: Set = frozenset()) -> None:
+        """Visit the most promising sets with further effects, except the barred ones."""
         if not self.candidates(model):
             return
         linear = self.linearised(model)
@@ -318,8 +297,8 @@ class Search:
             effects = self.fitter.set_of(proposal)
             if not self._tried(effects) and not self._hopeless(effects):
                 self._fit([proposal])
-        if behind is None:
-            behind = 0.0 if model is self.base else self.best.score - model.score
+        # Rivals of the first effect are found beside the shear model, however far behind they are.
+        behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
@@ -374,7 +353,7 @@ class Search:
         """
         for group in groups(model.effects):
             for rest in self._without(model, [model.effects - group]):
-                self._expand(rest, group, behind=0.0)
+                self._expand(rest, group)
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
@@ -443,8 +422,8 @@ def promising(
     floor = max(float(np.max(gains)), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
-    order = [i for i in ranking.order(gains)[:MOST_FURTHER] if np.isfinite(gains[i])]
-    single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
+    order = [i for i in ranking.order(gains) if np.isfinite(gains[i]) and (far_off or gains[i] > floor)]
+    single = foremost([linear.candidates[i] for i in order], lambda placed: frozenset([placed]))
     if model.improbable:
         # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
         by_gain = [linear.candidates[i] for i in ranking.order(linear.gains)]
@@ -525,6 +504,24 @@ def groups(effects: Set) -> list[Set]:
             by_state[placed.place.state].add(placed)
     found = [frozenset(group) for group in (*by_state.values(), *by_name.values(), effects)]
     return [group for group in dict.fromkeys(found) if len(group) > 1]
+
+
+def foremost(ordered: Iterable[Item], effects_of: Callable[[Item], Set]) -> list[Item]:
+    """Keep the first `BEAM` items without an open class, and half as many with one.
+
+    They are counted apart, because a class can join every cause. A set that only adds effects to a better one with a
+    class would displace other explanations.
+    """
+    kept: list[Item] = []
+    classes: list[Set] = []
+    for item in ordered:
+        effects = effects_of(item)
+        if not holds_open(effects):
+            kept += [item] if len(kept) - len(classes) < BEAM else []
+        elif len(classes) < BEAM // 2 and not any(better < effects for better in classes):
+            kept.append(item)
+            classes.append(effects)
+    return kept
 
 
 def holds_open(effects: Collection[LocatedEffect]) -> bool:

@@ -38,8 +38,7 @@ MISPRINT = ("berman", "1", "23")
 
 def note(name: str, **gaps: object) -> str:
     """Return a note for readers of the recomputed figures."""
-    words: str = PRINTED["notes"][name]
-    return words.format(**gaps)
+    return str(PRINTED["notes"][name]).format(**gaps)
 
 
 def value(printed: str) -> float:

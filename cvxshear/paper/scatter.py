@@ -3,7 +3,7 @@
 All methods get the same seeded samples. The paper's study (its Section 5.2, Table 3, Figs. 5 and 6) reports bias and
 coefficient of variation. This study adds the root-mean-square error, the Cramer-Rao bound of the same data, and the
 coverage of stated 95 % intervals. The two-stage and the one-shot method run in closed form on all complete samples at
-once, with normal matrices, which do not need one row per pair of modes (`programs.orthogonality`). A normal matrix has
+once, with normal matrices, which do not need one row per pair of modes (`programs.formulations`). A normal matrix has
 the squared condition number; this costs no visible accuracy for frames of a few stories. `identify` keeps the rows.
 """
 

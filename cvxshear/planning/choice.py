@@ -44,9 +44,6 @@ ACCURACY = {"tol_gap_abs": 1e-5, "tol_gap_rel": 1e-5, "tol_feas": 1e-6}
 #: of E; the time grows with the sixth power. Of 40 stories, it leaves the bound at least 99.5 % of the optimum.
 TOLD = 28
 
-#: Least relative gain of an exchange; a smaller gain is rounding.
-IMPROVES = 1e-9
-
 #: Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent.
 ARBITRARY = 0.01
 
@@ -347,17 +344,13 @@ def choose(problem: Candidates, number: int, by: Criterion, enumerate_up_to: flo
         Largest number of entries of all choices' information matrices for which every choice is tried: some seconds.
     """
     if comb(problem.count, number) * problem.base.size <= enumerate_up_to:
-        return _best_of_all(problem, number, by)
+        every = list(combinations(range(problem.count), number))
+        values = values_of(problem, every, by)
+        best = ranking.first_largest(-values)
+        return Choice(np.array(every[best]), float(values[best]), float(values[best]), float(values.max()))
     weights, bound = relaxed(problem, number, by)
     value, chosen = min(exchanged(problem, start, by) for start in roundings(weights, number))
     return Choice(np.array(chosen), value, min(bound, value), float(by.value(problem, problem.base)))
-
-
-def _best_of_all(problem: Candidates, number: int, by: Criterion) -> Choice:
-    every = list(combinations(range(problem.count), number))
-    values = values_of(problem, every, by)
-    best = ranking.first_largest(-values)
-    return Choice(np.array(every[best]), float(values[best]), float(values[best]), float(values.max()))
 
 
 def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion, at_once: int = 2_000_000) -> Floats:
@@ -406,7 +399,7 @@ def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple
     while True:
         values = values_of(problem, found, by)
         best = ranking.first_largest(-values)
-        if values[best] >= value * (1 - IMPROVES):
+        if ranking.first_largest([-value, -values[best]]) == 0:
             return value, chosen
         value, chosen = float(values[best]), found[best]
         others = set(range(problem.count)).difference(chosen)

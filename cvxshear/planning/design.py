@@ -16,7 +16,7 @@ from cvxshear.io.toml import is_built_in, load, read_tables
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Measurement, Prior, opened
 from cvxshear.priors import check_prior
 from cvxshear.util import checks
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats, Ints
 
@@ -74,7 +74,7 @@ class Design:
 
     def fixed(self) -> Floats:
         """Return rows whose product with every relative change of masses and stiffnesses is zero, shape (e, 2N)."""
-        n, size = self.stories, self.sizes
+        n = self.stories
         rows = [np.zeros((0, 2 * n))]
         if self.frame.floor_masses is not None:
             rows.append(np.eye(n, 2 * n))
@@ -83,9 +83,7 @@ class Design:
         for prior in self.priors:
             A = prior.constraints(n).A
             if A is not None:
-                at = _place(prior, n)
-                row = np.zeros((len(A), 2 * n))
-                row[:, at] = A * size[at]
+                row = self._by_relative_changes(prior, A)
                 rows.append(row / np.linalg.norm(row, axis=1, keepdims=True))
         return np.concatenate(rows)
 
@@ -96,19 +94,25 @@ class Design:
 
     def known(self) -> Floats:
         """Return the prior information, rows in standard deviations by relative changes, shape (k, 2N)."""
-        n, size = self.stories, self.sizes
         if self.measured is not None:
-            return np.asarray(Misfit(self.measured, ()).evaluate(size).J * size)
-        rows = [np.zeros((0, 2 * n))]
+            return np.asarray(Misfit(self.measured, ()).evaluate(self.sizes).J * self.sizes)
+        rows = [np.zeros((0, 2 * self.stories))]
         if self.frame.total_mass_std is not None:
             rows.append(self.share_of_total / self.frame.total_mass_std)
         for prior in self.priors:
-            at = _place(prior, n)
-            _, J = prior.residual(size[at])
-            row = np.zeros((len(J), 2 * n))
-            row[:, at] = J * size[at]
-            rows.append(row)
+            _, J = prior.residual(self.sizes[self.place(prior.quantity)])
+            rows.append(self._by_relative_changes(prior, J))
         return np.concatenate(rows)
+
+    def place(self, quantity: str) -> slice:
+        """Return the place of the floor masses, or of the story stiffnesses, among all parameters."""
+        return slice(0, self.stories) if quantity == "floor_mass" else slice(self.stories, None)
+
+    def _by_relative_changes(self, prior: Prior, rows: Floats) -> Floats:
+        """Write rows about the quantity of a prior as rows by relative changes of all parameters, shape (k, 2N)."""
+        at, found = self.place(prior.quantity), np.zeros((len(rows), 2 * self.stories))
+        found[:, at] = rows * self.sizes[at]
+        return found
 
     @staticmethod
     def of_experiment(experiment: Measurement, *, fresh: bool = False) -> Design:
@@ -156,6 +160,8 @@ class Design:
             )
         table = checks.keys(declared, ["frame", "prior"], ["prior"], "a file of design values")
         frame = Frame.from_dict(table.get("frame") or {})
+        if frame.turns:
+            raise UnsuitableError("the floors turn (frame: motions); a plan is for frames with one motion per floor")
         priors = tuple(Prior.from_dict(item) for _, item in checks.tables(table, "prior"))
         stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
@@ -184,23 +190,19 @@ class Design:
         return Design(frame, np.array(mass), np.array(stiffness), priors, name=name)
 
 
-def _place(prior: Prior, n: int) -> slice:
-    return slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
-
-
 def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
     """Read the design values of a quantity if a prior declares all of them; `stories` is 0 if not declared."""
     values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
-def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Design:
+def read_design(source: Measurement, *, fresh: bool = False) -> Design:
     """Read the frame before the test from a source.
 
     Parameters
     ----------
-    source : str, Path or Experiment
-        "paper"; a TOML file with configurations (fitted first) or without (design values).
+    source : str, Path, dict or Experiment
+        "paper"; a TOML file, or its dict, with configurations (fitted first) or without (design values).
     fresh : bool, optional
         Do not count earlier measurements as known.
 
@@ -209,7 +211,9 @@ def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Desi
     InputError
         If the source is not valid; the message names the file and the remedy.
     """
-    measured = source if isinstance(source, Experiment) else measurement_of(source)
+    if isinstance(source, Mapping) and "configuration" not in source:
+        return Design.of_file(source, "design")
+    measured = measurement_of(source) if isinstance(source, str | Path) else opened(source)
     if measured is not None:
         return Design.of_experiment(measured, fresh=fresh)
     path = Path(str(source))

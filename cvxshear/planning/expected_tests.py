@@ -87,9 +87,8 @@ class TestModel:
     @cached_property
     def question(self) -> Floats:
         """Rows that select the parameters of the plan's goal, shape (s, 2N)."""
-        n = self.design.stories
-        at = {"floor_mass": slice(0, n), "story_stiffness": slice(n, 2 * n)}
-        picked = np.concatenate([np.eye(2 * n)[at[each]] for each in self.quantities])
+        every = np.eye(2 * self.design.stories)
+        picked = np.concatenate([every[self.design.place(each)] for each in self.quantities])
         # A parameter that is known exactly is not part of the goal.
         return np.asarray(picked[np.linalg.norm(picked @ free_changes(self.fixed), axis=1) > 1e-9])
 

@@ -15,7 +15,7 @@ from cvxshear.fit.misfit import ExpectedTest
 from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment, Measurement
 from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_tests import Declared, TestModel
@@ -230,9 +230,11 @@ def predicted(plan: Plan) -> Experiment:
         _at_sensors(plan.model.expected(masses).test, name, floors)
         for name, masses in zip(plan.names, plan.tests, strict=True)
     )
-    design = plan.model.design
-    before = design.measured.configurations if design.measured is not None else ()
-    return Experiment(design.frame, (*before, *tests), design.priors, design.name)
+    design, before = plan.model.design, plan.model.design.measured
+    if before is not None:
+        return replace(before, configurations=(*before.configurations, *tests))
+    # Without the earlier tests there is no state that is the reference.
+    return Experiment(replace(design.frame, reference=None), tests, design.priors, design.name)
 
 
 def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
@@ -296,17 +298,15 @@ def mass_grid(limit: Floats) -> list[Floats]:
         Largest added mass of each floor, kg; zero if the floor cannot carry added mass.
     """
     n = len(limit)
-    patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
-    if n > 2:
-        half = np.arange(n) < n // 2
-        patterns += [half.astype(float), (~half).astype(float)]
+    half = np.arange(n) < n // 2
+    patterns = [np.zeros(n), *np.eye(n), np.ones(n), half, ~half]
     tests = [part * pattern * limit for pattern in patterns for part in PARTS]
     return list({tuple(np.round(test, 9)): test for test in tests}.values())
 
 
 @usual_arithmetic
 def plan(
-    source: str | Path | Experiment | Design,
+    source: Measurement | Design,
     sensors: int | None = None,
     tests: int = 1,
     *,
@@ -321,8 +321,8 @@ def plan(
 
     Parameters
     ----------
-    source : str, Path, Experiment or Design
-        A file of design values, or a measurement file, whose measurements count as known.
+    source : str, Path, dict, Experiment or Design
+        A file of design values, or a measurement file, whose measurements count as known; or the dict of either.
     sensors : int, optional
         Number of floors to measure; all by default.
     tests : int, optional
@@ -353,6 +353,8 @@ def plan(
     by = CRITERIA[checks.choice(criterion, list(CRITERIA), "criterion")]
     quantities = GOALS[checks.choice(goal, list(GOALS), "goal")]
     design = source if isinstance(source, Design) else read_design(source, fresh=fresh)
+    if noise is not None and not isinstance(noise, Declared):
+        raise InputError(f"noise must be a cvxshear.planning.Declared, not {checks.shown(noise)}")
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
     model = TestModel(design, quantities, _which(modes, design), noise or Declared.of_tests(design.declared))
@@ -370,9 +372,9 @@ def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
     n = design.stories
     if modes is None:
         return design.declared[0].modes - 1 if design.declared else np.arange(min(USUAL_MODES, n))
-    if isinstance(modes, int):
-        return np.arange(checks.whole(modes, "modes", least=1, most=n))
-    return checks.ascending_whole(list(modes), "modes", most=n) - 1
+    if checks.many(modes):
+        return checks.ascending_whole(modes, "modes", most=n) - 1
+    return np.arange(checks.whole(modes, "modes", least=1, most=n))
 
 
 def _masses(model: TestModel, grid: Sequence[Floats], count: int, number: int, by: Criterion) -> Choice:

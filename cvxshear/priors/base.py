@@ -70,7 +70,8 @@ class Constraints:
                 raise InputError(
                     f"{where}: its {field.name} has the shape {array.shape}, where the last length must be {size}"
                 )
-            wrong = np.isnan(array) if field.name in {"lower", "upper"} else ~np.isfinite(array)
+            missing = {"lower": -np.inf, "upper": np.inf}.get(field.name)
+            wrong = ~np.isfinite(array) & (array != missing)
             if wrong.any():
                 raise InputError(f"{where}: its {field.name} must hold finite numbers, not {array[wrong][0]}")
 
@@ -123,11 +124,7 @@ class Prior(checks.ReadOnlyArrays, ABC):
         if not dataclasses.is_dataclass(cls):
             raise InputError(f"the {cls.kind} prior cannot be named in a file: {cls.__name__} is not a dataclass")
         fields = [field for field in dataclasses.fields(cls) if field.init and field.name != "kind"]
-        required = [
-            field.name
-            for field in fields
-            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        ]
+        required = [each.name for each in fields if each.default is each.default_factory is dataclasses.MISSING]
         names = [field.name for field in fields]
         table = checks.keys(declared, ["kind", *names], required, f"the {cls.kind} prior")
         given = {key: table[key] for key in names if key in table}

@@ -250,8 +250,7 @@ class Bounds(Prior):
 
     def constraints(self, stories: int) -> Constraints:
         """Return the bounds, infinite by default."""
-        lower, upper = self._limits(stories)
-        return Constraints(lower=lower, upper=upper)
+        return Constraints(*self._limits(stories))
 
     def describe(self) -> str:
         """Say the statement in words."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from cvxshear.measurement.experiment import Experiment, Frame
-from cvxshear.priors import Constraints, Prior
+from cvxshear.priors import QUANTITY_UNITS, Constraints, Prior
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Floats, Ints
@@ -73,7 +73,8 @@ def statements(
     least : float, optional
         Smallest value that counts as positive, kg or N/m: a frame without mass or stiffness has no modes.
     """
-    result = [NamedConstraints(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
+    positive = f"{quantity} is at least {least:.3g} {QUANTITY_UNITS[quantity]}" if least else f"{quantity} is positive"
+    result = [NamedConstraints(positive, Constraints(lower=np.full(stories, least)))]
     if quantity == "floor_mass" and frame is not None:
         if frame.floor_masses is not None:
             result.append(NamedConstraints("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))
@@ -206,7 +207,7 @@ def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
     raise InfeasibleError("these cannot all be true: " + "; ".join(part.name for part in core))
 
 
-def refuse_contradicting(experiment: Experiment) -> None:
+def refuse_infeasible(experiment: Experiment) -> None:
     """Raise if the declared masses and the exact priors of an experiment cannot all be true.
 
     Raises

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.measurement.experiment import Configuration, Experiment, Measurement, opened
+from cvxshear.motions import THREE_MOTIONS, blocks
 from cvxshear.priors import Prior
 from cvxshear.programs import constraints
 from cvxshear.programs.least_squares import LeastSquares
@@ -110,7 +111,7 @@ def one_shot_masses(
     """
     test = _chosen(experiment, configuration, priors, "one_shot_masses", turning=True)
     if isinstance(test, TurningTest):
-        return test.one_shot_masses()
+        return test.one_shot_masses(None if at is None else checks.vector(at, "at", length=test.stories, above=0.0))
     return test.one_shot_masses(at=test.start_mass(at))
 
 
@@ -154,8 +155,11 @@ def story_stiffnesses(
     """
     test = _chosen(experiment, configuration, priors, "story_stiffnesses", turning=True)
     if isinstance(test, TurningTest):
-        each = ", four a floor"
-        return test.story_stiffnesses(checks.vector(masses, "masses", length=4 * test.stories, each=each))
+        given = checks.vector(masses, "masses", length=4 * test.stories, each=", four a floor")
+        wrong = np.flatnonzero(np.linalg.eigvalsh(blocks(given, THREE_MOTIONS.mass_basis))[:, 0] <= 0)
+        if wrong.size:
+            raise errors.InputError(f"masses: the mass matrix of floor {wrong[0] + 1} must be positive definite")
+        return test.story_stiffnesses(given)
     mass = test.start_mass(masses) + test.configuration.added_mass
     start = None if at is None else checks.vector(np.asarray(at), "at", length=test.experiment.stories, above=0.0)
     return test.story_stiffnesses(mass, at=test.even_stiffness(mass) if start is None else start)
@@ -300,18 +304,21 @@ def complete_test(experiment: Experiment, configuration: Configuration, user: st
     total = experiment.frame.known_total
     if total is None:
         raise errors.UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
-    constraints.refuse_contradicting(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
     least = constraints.LEAST_POSITIVE * total / n
+    of_masses = constraints.statements(experiment.priors, "floor_mass", n, experiment.frame, least)
+    of_stiffnesses = constraints.statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0])
+    for each in (of_masses, of_stiffnesses):
+        constraints.refuse_contradictions(each, n)
     return CompleteTest(
         experiment,
         configuration,
         shapes=configuration.mode_shapes.T,
         eigenvalues=eigenvalues,
         total=total + float(configuration.added_mass.sum()),
-        of_masses=constraints.statements(experiment.priors, "floor_mass", n, experiment.frame, least),
-        of_stiffnesses=constraints.statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
+        of_masses=of_masses,
+        of_stiffnesses=of_stiffnesses,
         shape_std=float(np.sqrt(np.mean(relative**2))),
     )
 

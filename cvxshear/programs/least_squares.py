@@ -134,14 +134,11 @@ class LeastSquares:
     @property
     def _labels(self) -> list[tuple[str, int]]:
         """Kind and index of each row of `inequalities`: the row of G, or the unknown of a bound."""
-        bounds = {"lower": self.lower, "upper": self.upper}
-        rows = [("G", row) for row in range(0 if self.G is None else len(self.G))]
-        return rows + [
-            (kind, unknown)
-            for kind, bound in bounds.items()
-            if bound is not None
-            for unknown in np.flatnonzero(np.isfinite(bound)).tolist()
-        ]
+        found = [("G", row) for row in range(0 if self.G is None else len(self.G))]
+        for kind, bound in (("lower", self.lower), ("upper", self.upper)):
+            if bound is not None:
+                found += [(kind, unknown) for unknown in np.flatnonzero(np.isfinite(bound)).tolist()]
+        return found
 
     def duals_at(self, point: Point) -> dict[str, Floats]:
         """Convert the multipliers of half the objective to multipliers of the objective, by name, see `Solution`."""

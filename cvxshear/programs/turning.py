@@ -18,7 +18,7 @@ from cvxshear.measurement.experiment import MOTIONS, Configuration, Experiment, 
 from cvxshear.motions import THREE_MOTIONS, products, unit_derivatives
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.certificate import MatrixInequality
-from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, statements
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, refuse_infeasible, statements
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util import quantities
 from cvxshear.util.decorators import cached_property
@@ -120,18 +120,23 @@ class TurningTest:
 
         Raises
         ------
+        InfeasibleError
+            If declared masses and exact priors contradict each other.
         UnsuitableError
-            If a reading or the total mass is missing, or the sensors do not tell the motions of a floor apart.
+            If a reading, a second mode or the total mass is missing, or the sensors do not tell the motions of a floor
+            apart.
         """
         where = f'{user} cannot use configuration "{configuration.name}"'
         if experiment.frame.known_total is None:
             raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses")
-        if not configuration.sensors or not configuration.measured.all():
-            what = "mode shapes"
-            if configuration.sensors:
-                mode, sensor = np.argwhere(~configuration.measured)[0] + 1
-                what = f"every reading, and mode {mode} has none of sensor {sensor}"
-            raise UnsuitableError(f"{where}: it needs {what}")
+        if not configuration.sensors:
+            raise UnsuitableError(f"{where}: it needs mode shapes")
+        if not configuration.measured.all():
+            mode, sensor = np.argwhere(~configuration.measured)[0] + 1
+            raise UnsuitableError(f"{where}: it needs every reading, and mode {mode} has none of sensor {sensor}")
+        if len(configuration.frequencies) < 2:
+            raise UnsuitableError(f"{where}: it needs two modes, which are orthogonal")
+        refuse_infeasible(experiment)
         C = configuration.sensor_rows
         seen = _seen(C, where)
         # The pseudoinverse has rounding in place of the zeros of what no sensor sees.
@@ -215,13 +220,14 @@ class TurningTest:
         spread = np.where(i == j, own[i], of_shapes)
         return Rows(products(drifts, drifts, basis)[i, j], (i, j), by_reading, std, 1.0 / spread)
 
-    def one_shot_masses(self) -> LeastSquares:
+    def one_shot_masses(self, at: Floats | None = None) -> LeastSquares:
         """Write the masses of the floors that make the modes orthogonal; see `programs.one_shot_masses`."""
-        rows, priors, even = self.mass_rows(), self.experiment.priors, self.even_masses[::4]
-        known = [prior.residual(even) for prior in priors]
+        rows, priors = self.mass_rows(), self.experiment.priors
+        mass = self.even_masses[::4] if at is None else at
+        known = [prior.residual(mass) for prior in priors]
         of_masses = np.concatenate([np.zeros((0, self.stories)), *(J for _, J in known)])
         soft = np.concatenate([plan_rows(self.experiment), of_masses @ np.eye(4 * self.stories)[::4]])
-        sides = [np.zeros(len(soft) - len(of_masses)), *(J @ even - r for r, J in known)]
+        sides = [np.zeros(len(soft) - len(of_masses)), *(J @ mass - r for r, J in known)]
         program = LeastSquares(
             np.concatenate([rows.R, soft]), np.concatenate([-rows.R @ self.added, *sides]),
             np.concatenate([rows.weights, np.ones(len(soft))]), names=self.names(THREE_MOTIONS.mass_names),

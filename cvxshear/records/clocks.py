@@ -212,7 +212,7 @@ class ChannelRatios:
         )
         priors = [1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags))]
         priors += [np.full(count, 1.0 / max(count, 1)) for count in (len(CORNERS), len(at))]
-        logs = np.log(np.append(1.0 - 3 * FAULTY, FAULTY * np.concatenate(priors)))
+        logs = np.append(0.0, np.log(FAULTY * np.concatenate(priors)))
         slows = ranking.weigh(likely, logs)[1 + len(lags) :]
         first = ranking.first_largest(slows)
         # A clock that drifts leaves less of the highest frequencies, too, but agrees better with its own line.
@@ -263,7 +263,7 @@ class ChannelRatios:
         early, late = (float(grid[ranking.first_largest(each[split])]) for each in (before, after))
         size = max(float(np.abs(self.squares).sum()), 1e-300)
         gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
-        chance = ranking.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
+        chance = ranking.weigh([0.0, gain + np.log(FAULTY / (len(tops) * len(grid)))])[1]
         jump, time = late - early, float(self.times[split : split + 2].mean())
         sure = float(chance) if abs(jump) >= SHORTEST_DELAY / self.segments.rate else 0.0
         return ChannelFault("lost samples", sure, gain, jump, time=time)
@@ -335,7 +335,7 @@ class ChannelRatios:
         # keeps its prior probability.
         gain = 0.5 * (freedom + 1) * np.log1p((slope / std) ** 2 / freedom)
         share = min(std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT), 1.0)
-        probability = float(ranking.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY * share]))[1])
+        probability = float(ranking.weigh([0.0, gain + np.log(FAULTY * share)])[1])
         start = late - slope * float(np.average(self.times, weights=np.maximum(self.weights, 1e-300)))
         return ChannelFault("clock drift", probability, float(gain), slope, std, late=(start, slope))
 

@@ -112,7 +112,7 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
             continue
         # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
         gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * clocks.LONGEST))
-        if ranking.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
+        if ranking.weigh([0.0, gain + np.log(clocks.FAULTY)])[1] < quantities.SURE:
             continue
         place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
         floors = [floor for floor in range(len(record.channels)) if floor != place]

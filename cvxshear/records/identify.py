@@ -11,7 +11,7 @@ from cvxshear.records import diagnostics, estimate, picking, placement, pole_swe
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks, decorators
+from cvxshear.util import checks, decorators, quantities
 from cvxshear.util.errors import InputError, NoSolutionError
 
 #: Kinds of findings that the whole band and the modes may both tell of a channel.
@@ -89,7 +89,12 @@ class ModeSearch:
         if record.turns or len(record.channels) < 2 or len(lowest) < 2:
             return record, found, []
         hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
-        findings = placement.findings_of(hypotheses, record.channels, lowest[0])
+        channels = record.channels
+        if record.quantity != "acceleration":
+            # Only accelerations have g: the values of another quantity are in its SI unit.
+            unit = next(iter(quantities.IN_SI[record.quantity]))
+            channels = tuple(dataclasses.replace(each, unit=each.unit or unit) for each in channels)
+        findings = placement.findings_of(hypotheses, channels, lowest[0])
         if findings and findings[0].numbers["corrected"]:
             record = hypotheses[0].mended(record)
             found = self.settled(record)

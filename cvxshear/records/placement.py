@@ -167,8 +167,7 @@ def _unlike_a_first_mode(shape: Floats, floors: Ints, stories: int) -> float:
     typical = np.median(flexible)
     if typical <= 0:
         return 2.0 * WORST
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logarithmic = 0.5 * (np.log(np.maximum(flexible / typical, 1e-6)) / SPREAD_OF_STIFFNESS) ** 2
+    logarithmic = 0.5 * (np.log(np.maximum(flexible / typical, 1e-6)) / SPREAD_OF_STIFFNESS) ** 2
     additive = 0.5 * ((drifts - typical * forces) / (np.sqrt(2.0) * SHAPE_ERROR)) ** 2
     return float(np.minimum(np.minimum(logarithmic, additive), WORST).sum())
 
@@ -176,18 +175,12 @@ def _unlike_a_first_mode(shape: Floats, floors: Ints, stories: int) -> float:
 def _rises(low: Floats, high: Floats) -> float:
     """How far the second mode over the first rises with height anywhere, where it should fall."""
     steady = np.abs(low) > SHAPE_ERROR
-    low, high = low[steady], high[steady]
-    if len(low) < 2:
-        return 0.0
-    ratio = high / low
+    ratio = high[steady] / low[steady]
     if ratio[0] < ratio[-1]:
         ratio = -ratio
-    error = SHAPE_ERROR * np.hypot(1.0 / np.abs(low), high / low**2)
-    worst = 0.0
-    for i, j in itertools.combinations(range(len(ratio)), 2):
-        rise = max(0.0, float(ratio[j] - ratio[i])) / np.hypot(error[i], error[j])
-        worst = max(worst, 0.5 * rise**2)
-    return min(worst, 2.0 * WORST)
+    error = SHAPE_ERROR * np.hypot(1.0, ratio) / np.abs(low[steady])
+    rises = np.triu(ratio - ratio[:, None]) / np.hypot(error, error[:, None])
+    return min(0.5 * float(rises.max()) ** 2, 2.0 * WORST)
 
 
 def _changes(shape: Floats) -> int:
@@ -308,7 +301,7 @@ def _nearest_unit(size: float) -> str | None:
 
 def _other_unit(channel: Channel, factor: float) -> tuple[str | None, str]:
     """Name the unit of a channel whose values need a factor, None if unknown, and say what the channel looks like."""
-    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", np.nan) * factor)
     if channel.unit is not None:
         return unit, f"is declared in {channel.unit} and looks like {unit or f'{factor:.3g} times that'}"
     if unit is not None:

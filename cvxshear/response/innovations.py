@@ -91,7 +91,7 @@ class Filter:
             P = P + more
             P, G = 0.5 * (P + P.T), 0.5 * (G + G.T)
             # Each round doubles the number of correct digits.
-            if np.all(np.diag(more) ** 2 <= state_space.ROUNDING * np.diag(P) ** 2):
+            if np.all(np.diag(more) <= np.sqrt(state_space.ROUNDING) * np.diag(P)):
                 break
         return Filter.at(model, P)
 

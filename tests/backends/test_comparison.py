@@ -54,6 +54,9 @@ def test_the_difference_is_relative_to_the_quantity_that_the_unknown_changes():
     assert row.difference == pytest.approx(1e-8 * np.sqrt(5) / 11, rel=1e-6)
     assert row.reference == "closed form"
     assert row.error_bound >= 1e-8
+    # An unknown that is zero, such as the first moment of a symmetric floor, has the size of its row.
+    rows = backends.compare([plane((-1.0, 20.0))], ["kkt", Noting(1e-8), Noting(1e-9)]).rows
+    assert [each.difference for each in rows] == pytest.approx([0.0, 1e-6, 1e-7], rel=0.1)
 
 
 def test_what_is_said_of_a_kind_is_of_its_programs():

@@ -144,3 +144,20 @@ def test_priors_of_any_size_and_curvature_pass():
     ):
         prior = soft(change)
         assert paper.with_priors([prior]).priors[-1] is prior
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"R": [[1.0]]}, "R of a program must be an array of finite numbers"),
+        ({"W": np.ones(2)}, r"W of a program .* of the shape \(3,\)"),
+        ({"G": np.eye(3)}, "G and h belong together"),
+        ({"lower": np.full(3, np.nan)}, "its lower must hold finite numbers, not nan"),
+        ({"lower": np.full(3, 2.0), "upper": np.full(3, 1.0)}, "true: x >= lower; x <= upper"),
+    ],
+)
+def test_a_program_that_makes_no_sense_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        PROGRAM.replace(**changes).solve()
+    with pytest.raises(InputError, match="a backend must be an instance of"):
+        backends.register(Guest)

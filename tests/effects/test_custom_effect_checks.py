@@ -80,7 +80,7 @@ FAULTS = {
     "no state": ({"apply": lambda *_: None}, r"apply\(\) returned a NoneType"),
     "raises": ({"apply": lambda *_: 1 / 0}, "raised ZeroDivisionError: division by zero"),
     "no name": ({"name": " "}, "name of an effect must be a text that is not empty, not ' '"),
-    "stage": ({"stage": "elastic"}, "stage must be one of center, bracing, story, .* not 'elastic'"),
+    "stage": ({"stage": "elastic"}, "stage must be one of axes, center, bracing, story, .* not 'elastic'"),
     "certain": ({"probability": 1.0}, "the probability of cable must lie between 0 and 1, not 1"),
     "probability": ({"probability": float("nan")}, "the probability of cable must lie between 0 and 1, not nan"),
     "no sizes": ({"sizes": Effect.sizes}, "says nothing of s and its bounds are infinite"),

@@ -98,6 +98,8 @@ SETS = [
     # Beams of each floor by themselves change a matrix only together with joint rotation.
     [CASES["joint_rotation"], BEAMS],
     [*ALL, BEAMS],
+    # A search tries a change from null; without braces it is one of the columns, which the joints feel.
+    [CASES["joint_rotation"], (placed("story_change", story=2, state="loaded"), 0.0)],
     # Bounded fits end at the null value. The formulas hold on both sides of it.
     *([(there, tuple(item.null for item in there.effect.parameters))] for there, _ in ALL),
 ]

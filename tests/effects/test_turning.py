@@ -134,6 +134,20 @@ def test_one_factor_on_a_state_and_springs_between_floors():
     close(composed(frame, "other_stiffness", values).system.K, K + d.T @ np.diag([5e5, 3e5]) @ d)
 
 
+def test_the_order_in_which_two_effects_are_named_does_not_matter():
+    frame = symmetric_frame()
+    of, plain = experiment_of(frame), parameters_of(frame)
+    loads = [(effect("added_mass", of, floor=2), [700.0, 3.0, -2.0]), (effect("state_mass", of), [0.2])]
+    centers = [(effect("eccentric_stiffness", of, part="in x"), [0.4]), (effect("turned_axes", of), [0.1])]
+    for pair in (loads, centers):
+        states = []
+        for order in (pair, pair[::-1]):
+            effects, values = zip(*order, strict=True)
+            states.append(compose(of, of.configurations[1], effects, np.concatenate([plain, *values])).system)
+        close(states[0].M, states[1].M)
+        close(states[0].K, states[1].K)
+
+
 def test_the_gain_of_one_sensor_scales_its_row():
     frame = symmetric_frame()
     state = composed(frame, "sensor_gain", [0.2], floor=1, part="at (-5, -3) m along 0 degrees")

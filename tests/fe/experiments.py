@@ -215,25 +215,13 @@ def practical_size(effect: str, frame: Building) -> float:
     """
     top = float(frame.heights.sum())
     sway = 0.1 * float(np.sum(1.0 / frame.story_stiffness))
-    return {
-        "gravity": 1.2,
-        "joint_rotation": 0.1,
-        "axial_columns": 3 * sway / top**3,
-        "base_rocking": sway / top**2,
-        "ground_spring": 0.1 * float(np.mean(frame.story_stiffness)),
-        "added_mass": 0.1 * float(np.mean(frame.floor_mass)),
-        "mass_coupling": 0.1 * float(np.mean(frame.floor_mass)),
-        "sensor_gain": 0.1,
-        "story_change": -0.1,
-        "state_stiffness": -0.1,
-        "state_mass": 0.1,
-        "load_scale": -0.1,
-        "bracing": 0.4,
-        "spring": 0.1 * float(np.mean(frame.story_stiffness)),
-        "joint_release": 0.5,
-        "soft_feet": 0.5,
-        "wall": 0.1,
-    }[effect]
+    sizes = dict.fromkeys(("joint_rotation", "sensor_gain", "state_mass", "wall"), 0.1)
+    sizes |= dict.fromkeys(("story_change", "state_stiffness", "load_scale"), -0.1)
+    sizes |= dict.fromkeys(("joint_release", "soft_feet"), 0.5) | {"gravity": 1.2, "bracing": 0.4}
+    sizes |= dict.fromkeys(("ground_spring", "spring"), 0.1 * float(np.mean(frame.story_stiffness)))
+    sizes |= dict.fromkeys(("added_mass", "mass_coupling"), 0.1 * float(np.mean(frame.floor_mass)))
+    sizes |= {"axial_columns": 3 * sway / top**3, "base_rocking": sway / top**2}
+    return sizes[effect]
 
 
 def with_gravity(frame: Building, gamma: float, at: int | None = None) -> Building:

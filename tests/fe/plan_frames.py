@@ -78,6 +78,15 @@ class PlanFrame:
         alone = PlanFrame(self.plan, [self.columns[story]], [self.weights[story]])
         return alone.matrices[1]
 
+    @property
+    def parameters(self) -> tuple[Floats, Floats]:
+        """Return mass, first moments and inertia of each floor, and entries xx, yy, rr, xy, xr, yr of each story."""
+        moments = self.floor_mass[:, None] * self.mass_center
+        inertia = self.inertia + self.floor_mass * np.sum(self.mass_center**2, axis=1)
+        stories = [self.story(story) for story in range(self.stories)]
+        entries = [[K[0, 0], K[1, 1], K[2, 2], K[0, 1], K[0, 2], K[1, 2]] for K in stories]
+        return np.column_stack([self.floor_mass, moments, inertia]).ravel(), np.ravel(entries)
+
     def sensors(self, directions: tuple[float, ...] = (0.0, 90.0, 0.0)) -> list[dict[str, object]]:
         """Return three sensors a floor, two at a corner and one at the opposite corner."""
         a, b = 0.5 * self.plan[0], 0.5 * self.plan[1]

@@ -205,23 +205,11 @@ def test_what_a_declared_bound_holds_is_at_a_bound_and_has_no_deviation():
 
 def test_the_least_that_counts_as_positive_is_shown_as_a_bound():
     """Modes 1, 2, 4 and 5 of seven are given as the first four. The estimate of floor 5 then has no mass."""
-    declared = {
-        "frame": {"story_heights": 3.2, "total_mass": 133e3},
-        "configuration": [
-            {
-                "measured_floors": [1, 3, 5, 7],
-                "frequencies": [1.7435, 4.7482, 9.9342, 11.9182],
-                "mode_shapes": [
-                    [-0.1703, -0.5334, -0.8328, -0.9893],
-                    [-0.4341, -0.8413, -0.0426, 0.9879],
-                    [0.9948, -0.8472, 0.7141, -1.0103],
-                    [0.7084, -0.723, 0.5075, 0.5539],
-                ],
-                "frequency_std": 0.001,
-                "mode_shape_std": 0.01,
-            }
-        ],
-    }
+    first, second = [-0.1703, -0.5334, -0.8328, -0.9893], [-0.4341, -0.8413, -0.0426, 0.9879]
+    fourth, fifth = [0.9948, -0.8472, 0.7141, -1.0103], [0.7084, -0.723, 0.5075, 0.5539]
+    tested = {"frequencies": [1.7435, 4.7482, 9.9342, 11.9182], "frequency_std": 0.001, "mode_shape_std": 0.01}
+    tested |= {"measured_floors": [1, 3, 5, 7], "mode_shapes": [first, second, fourth, fifth]}
+    declared = {"frame": {"story_heights": 3.2, "total_mass": 133e3}, "configuration": [tested]}
     found = identify(Experiment.from_dict(declared))
     said = found.to_dict()
     assert said["at_bounds"] == ["floor_mass 5"]
@@ -282,6 +270,8 @@ def test_a_ratio_that_contradicts_a_bound_is_named_without_the_rest():
     assert "story_stiffness 1 is 2 times story_stiffness 2" in str(raised.value)
     assert "story_stiffness 3" not in str(raised.value)
     assert "positive" not in str(raised.value)
+    with pytest.raises(InfeasibleError, match=r"is at least .* N/m; prior: story_stiffness at most 0.001 N/m"):
+        identify(exact(), "one-shot", priors=[Bounds("story_stiffness", upper=1e-3)])
 
 
 def test_predictions_are_the_modes_of_the_identified_frame():

@@ -135,19 +135,9 @@ def test_noise_that_no_instrument_has_is_improbable():
 
 def test_a_mode_that_cannot_be_ends_in_numbers():
     """A frequency of 3e12 Hz makes the frequency noise unbounded; its curvature is 1e20 times the shape noise's."""
-    declared = {
-        "frame": {"stories": 3, "total_mass": 22.5},
-        "configuration": [
-            {
-                "frequencies": [1.03359792, 2.20985874, 3.28118804e12],
-                "mode_shapes": [
-                    [0.301849953584011, 6.48535272e11, 1.0],
-                    [-0.6789774751144153, -0.6065990924638334, 1.0],
-                    [2.439627521530404, -2.5419361797178035, 1.0],
-                ],
-            }
-        ],
-    }
+    shapes = [[0.301849953584011, 6.48535272e11, 1.0], [-0.678977475, -0.606599092, 1.0], [2.43962752, -2.54193618, 1]]
+    tested = {"frequencies": [1.03359792, 2.20985874, 3.28118804e12], "mode_shapes": shapes}
+    declared = {"frame": {"stories": 3, "total_mass": 22.5}, "configuration": [tested]}
     closure = close_loop(Experiment.from_dict(declared), effects=["sensor_gain"])
     assert closure.verdict == "unexplained"
     factors = [closure.noise.to_dict()[kind]["factor"] for kind in ("frequency", "mode_shape")]

@@ -70,14 +70,9 @@ def test_the_taper_is_the_one_that_suits_the_frequencies():
 
 
 def test_design_values_come_first_at_the_right_total_and_frequency():
-    of = measured(
-        *two_tests(),
-        frame={"total_mass": 64.0},
-        prior=[
-            {"kind": "nominal", "quantity": "floor_mass", "values": MASS.tolist(), "std": 0.1},
-            {"kind": "nominal", "quantity": "story_stiffness", "values": [3.0, 2.0, 2.0, 1.0], "std": 0.1},
-        ],
-    )
+    masses = {"kind": "nominal", "quantity": "floor_mass", "values": MASS.tolist(), "std": 0.1}
+    stories = {"kind": "nominal", "quantity": "story_stiffness", "values": [3.0, 2.0, 2.0, 1.0], "std": 0.1}
+    of = measured(*two_tests(), frame={"total_mass": 64.0}, prior=[masses, stories])
     first = starts(of)[0]
     np.testing.assert_allclose(first[:4], 2 * MASS)
     np.testing.assert_allclose(first[4:] / first[7], [3.0, 2.0, 2.0, 1.0])

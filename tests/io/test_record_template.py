@@ -33,6 +33,7 @@ def text(header: str, values, separator: str = ",", comma: bool = False) -> str:
     return header + (rows.replace(".", ",") if comma else rows) + "\n"
 
 
+TABS, SEMICOLONS = {"separator": "\t"}, {"separator": ";"}
 HEADS = {
     "plain": ("time,ground,acc_1,acc_2,acc_3\n", {}, 1.0),
     "brackets": ("Time [s],Base [g],acc_1 (g),acc_2 (g),acc_3 (g)\n", {}, GRAVITY),
@@ -43,25 +44,13 @@ HEADS = {
         {"separator": ";", "comma": True},
         1.0,
     ),
-    "tabs": ("t\tinput (cm/s2)\tch1 (gal)\tch2 (Gal)\tch3 (cm/s²)\n", {"separator": "\t"}, 1e-2),
-    "tabs, and no unit for the time": (
-        "t\tinput\tch1\tch2\tch3\n\tcm/s2\tgal\tgal\tcm/s2\n",
-        {"separator": "\t"},
-        1e-2,
-    ),
+    "tabs": ("t\tinput (cm/s2)\tch1 (gal)\tch2 (Gal)\tch3 (cm/s²)\n", TABS, 1e-2),
+    "tabs, and no unit for the time": ("t\tinput\tch1\tch2\tch3\n\tcm/s2\tgal\tgal\tcm/s2\n", TABS, 1e-2),
     "commented header": ("# t ground a1 a2 a3\n", {"separator": " "}, 1.0),
-    "a roof without a number": (
-        "Zeit;Tisch;Etage 1;Etage 2;Dach\ns;cm/s2;cm/s2;cm/s2;cm/s2\n",
-        {"separator": ";"},
-        1e-2,
-    ),
+    "a roof without a number": ("Zeit;Tisch;Etage 1;Etage 2;Dach\ns;cm/s2;cm/s2;cm/s2;cm/s2\n", SEMICOLONS, 1e-2),
     "levels of a building": ("time,GL,1F,2F,RF\ns,gal,gal,gal,gal\n", {}, 1e-2),
     "a base between other words": ("time_s,base_acc_g,f1_acc_g,f2_acc_g,f3_acc_g\n", {}, GRAVITY),
-    "units after blanks, axes in brackets": (
-        "Time;Base g;Level 1 (N) g;Level 2 (North), g;Level 3 (N) g\n",
-        {"separator": ";"},
-        GRAVITY,
-    ),
+    "axes in brackets": ("Time;Base g;Level 1 (N) g;Level 2 (North), g;Level 3 (N) g\n", SEMICOLONS, GRAVITY),
     "units at the ends": ("time_s,table_x_mg,ch1_x_mg,ch2_x_mg,ch3_x_mg\n", {}, 1e-3 * GRAVITY),
 }
 

@@ -246,6 +246,7 @@ def test_a_resonance_without_a_shape_puts_the_numbers_above_it_in_doubt():
     assert finding.numbers["modes"] == [1, 2, 4]
     assert finding.numbers["probability"] == A_MODE
     assert "between modes 2 and 3 lies a resonance that is not among them, at 5 Hz" in finding.message
+    assert "what is called mode 3 is mode 4" in finding.message
     # At most one mode is overlooked: two resonances between others share its probability.
     two = overlooked_modes(found, np.array([1, 2, 3]), [pole(2.0), weak], floors=3, stories=6)
     assert [(item.numbers["modes"], item.numbers["probability"]) for item in two] == [

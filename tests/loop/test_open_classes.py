@@ -359,15 +359,9 @@ def test_a_test_that_repeats_another_counts_once():
 
 def test_where_no_degree_of_freedom_is_left_nothing_is_explained():
     """A two-story frame has two measured frequencies, one of them not a mode of the frame."""
-    closure = close_loop(
-        Experiment.from_dict({
-            "frame": {"stories": 2, "total_mass": 20.0},
-            "configuration": [
-                {"name": "a", "frequencies": [3.0, 9.5], "frequency_std": 0.002},
-                {"name": "b", "frequencies": [2.6, 9.4], "frequency_std": 0.002},
-            ],
-        })
-    )  # fmt: skip
+    pairs = {"a": [3.0, 9.5], "b": [2.6, 9.4]}
+    tables = [{"name": name, "frequencies": pair, "frequency_std": 0.002} for name, pair in pairs.items()]
+    closure = loop(tables, 20.0, stories=2)
     assert closure.verdict in ("ambiguous", "adequate")
     assert closure.verdict != "adequate" or not closure.effects
 

@@ -9,7 +9,7 @@ import pytest
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
-from cvxshear.loop.posterior import Posterior
+from cvxshear.loop.posterior import Posterior, from_the_first_state
 from tests.effects.common import placed as put
 
 A, B, C, D = (put("sensor_gain", floor=floor) for floor in (1, 2, 3, 4))
@@ -39,6 +39,15 @@ def test_probabilities_are_those_of_the_scores():
     assert of.of_effects[D] == 0.0
     assert of.of_effects[C] == pytest.approx(0.1)
     assert of.verdict_set() == {A}
+
+
+def test_sets_that_differ_in_which_state_is_the_frame_have_their_probability_together():
+    of = SimpleNamespace(frame=SimpleNamespace(reference=None), states=("before", "after"))
+    softer, stiffer = (put("story_change", story=1, state=state) for state in ("after", "before"))
+    models = [model([softer], 0.5), model([stiffer], 0.3), model([], 0.2)]
+    united = from_the_first_state(models, [Hypothesis(each, PRIOR) for each in (softer, stiffer)], of)
+    assert [each.effects for each in united] == [{softer}, set()]
+    np.testing.assert_allclose(np.exp([each.score + 300.0 for each in united]), [0.8, 0.2])
 
 
 def test_many_kinds_of_causes_are_weighed_against_one_unknown_cause():

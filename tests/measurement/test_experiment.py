@@ -19,6 +19,7 @@ from tests.frames import DESIGNS, EXAMPLES, MEASURED
 
 FREQUENCIES = [2.0, 5.0, 8.0]
 SHAPES = [[0.4, 0.8, 1.0], [-1.0, -0.3, 0.9], [0.8, -1.0, 0.5]]
+NOMINAL = {"kind": "nominal", "quantity": "story_stiffness", "values": [3e6, 2e6, 1e6], "std": 0.1}
 
 
 def state(**keys):
@@ -158,13 +159,8 @@ def test_two_modes_may_look_alike_where_floors_are_missing():
     i, j = np.array([3, 6]), np.array([[1], [5]])
     shapes = np.sin((2 * j - 1) * np.pi * i / 15)
     assert_allclose(shapes[0, 1] / shapes[0, 0], shapes[1, 1] / shapes[1, 0])
-    found = experiment(
-        frame={"total_mass": 7.0, "stories": 7},
-        frequencies=[1.0, 9.0],
-        modes=[1, 5],
-        measured_floors=[3, 6],
-        mode_shapes=shapes,
-    )
+    keys = {"frequencies": [1.0, 9.0], "modes": [1, 5], "measured_floors": [3, 6], "mode_shapes": shapes}
+    found = experiment(frame={"total_mass": 7.0, "stories": 7}, **keys)
     assert_allclose(found.configurations[0].mode_shapes, shapes)
 
 
@@ -186,10 +182,7 @@ def test_a_shape_may_have_any_scale_and_sign(scale):
         {"configuration": [state(), state(added_mass=[0, 0, 5])]},
         {"configuration": [state(mass_normalized=True)]},
         {"configuration": [state()], "prior": [{"kind": "value", "quantity": "floor_mass", "at": 1, "value": 10.0}]},
-        {
-            "configuration": [state()],
-            "prior": [{"kind": "nominal", "quantity": "story_stiffness", "values": [3e6, 2e6, 1e6], "std": 0.1}],
-        },
+        {"configuration": [state()], "prior": [NOMINAL]},
     ],
     ids=["total_mass", "floor_masses", "two added masses", "mass_normalized", "value", "nominal"],
 )
@@ -230,13 +223,7 @@ def rich():
             {"kind": "bounds", "quantity": "floor_mass", "lower": [1.0, 2.0, 3.0, 4.0], "upper": 100.0},
             {"kind": "ratio", "quantity": "floor_mass", "of": 2, "to": 1, "value": 1.5, "std": 0.02},
             {"kind": "value", "quantity": "story_stiffness", "at": 4, "value": 2e4},
-            {
-                "kind": "nominal",
-                "quantity": "story_stiffness",
-                "values": [4e4, 4e4, 3e4, 2e4],
-                "std": 0.1,
-                "free_scale": True,
-            },
+            NOMINAL | {"values": [4e4, 4e4, 3e4, 2e4], "free_scale": True},
             {"kind": "monotone", "quantity": "story_stiffness", "direction": "decreasing"},
         ],
         "configuration": [
@@ -278,18 +265,10 @@ def test_a_date_is_one_of_toml_or_a_text(said):
 
 
 def test_none_in_a_dict_is_a_key_not_given():
-    found = experiment(
-        frame={"total_mass": 30.0, "stories": None, "story_heights": None, "gravity": None},
-        name=None,
-        added_mass=None,
-        measured_floors=None,
-        modes=None,
-        mass_normalized=None,
-        mode_shape_noise=None,
-        frequency_std=None,
-        mode_shape_std=None,
-        damping_ratios=None,
-    )
+    keys = ["name", "added_mass", "measured_floors", "modes", "mass_normalized", "mode_shape_noise"]
+    keys += ["frequency_std", "mode_shape_std", "damping_ratios"]
+    frame = {"total_mass": 30.0, **dict.fromkeys(["stories", "story_heights", "gravity"])}
+    found = experiment(frame=frame, **dict.fromkeys(keys))
     np.testing.assert_equal(found.to_dict(), experiment().to_dict())
 
 

@@ -126,6 +126,8 @@ def test_the_file_to_fill_in_is_the_plan(file, tmp_path):
         ({"tests": 30, "added_mass": 3.0}, "tests = 30 are more than the"),
         ({"modes": 5}, "modes = 5 must lie between 1 and 4"),
         ({"modes": [2, 1]}, "modes must be ascending"),
+        ({"modes": 2.5}, "modes must be a whole number"),
+        ({"noise": 0.01}, "noise must be a cvxshear.planning.Declared"),
         ({"goal": "weights"}, "goal must be one of masses, stiffnesses, all"),
         ({"criterion": "G"}, "criterion must be one of D, A, E"),
         ({"added_mass": -1.0}, "added_mass = -1 must not be less than 0"),
@@ -144,6 +146,7 @@ def test_a_wrong_option_is_refused(file, options, message):
         ("story_heights", "story_height", "did you mean 'story_heights'"),
         ("[[prior]]", "[[priors]]", "unknown key 'priors'"),
         ("[frame]", "[record]\n[frame]", "plan with the measurement file that 'cvxshear modes' makes of it"),
+        ("[frame]", '[frame]\nmotions = ["x", "y", "rotation"]', "the floors turn"),
     ],
 )
 def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
@@ -283,3 +286,13 @@ def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():
     with pytest.raises(InputError, match=r"does not determine .*declare design values") as refused:
         plan(cvxshear.Experiment.from_dict(experiment(mass, stiffness, table)))
     assert len(re.findall(r"[mk]\d|(?:floor|story)[ _]\w+ \d", str(refused.value))) == 4
+
+
+def test_a_static_test_before_the_plan_stays_with_it_and_a_reference_without_its_state_does_not():
+    mass, stiffness = [10.0, 9.0, 8.0], [24e3, 20e3, 16e3]
+    pull = {"force": [0.0, 0.0, 120.0], "displacement": (120.0 * np.cumsum(1 / np.array(stiffness))).tolist()}
+    tested = {"configuration": [configuration(mass, stiffness)], "static": [pull]}
+    found = plan(tested, sensors=2, modes=np.int64(2))
+    assert (predicted(found).to_dict()["static"][0]["force"], found.to_dict()["other_frames"]) == (pull["force"], [])
+    tested["frame"] = {"total_mass": 27.0, "reference": "configuration 1"}
+    assert predicted(plan(tested, sensors=2, fresh=True)).frame.reference is None

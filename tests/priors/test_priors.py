@@ -373,6 +373,7 @@ def test_the_set_named_is_a_smallest_one():
         (Constraints(A=np.ones((1, 3)), b=np.ones(1)), "its A has the shape (1, 3), where the last length must be 2"),
         (Constraints(lower=np.zeros(3)), "its lower has the shape (3,), where the last length must be 2"),
         (Constraints(upper=np.array([1.0, np.nan])), "its upper must hold finite numbers, not nan"),
+        (Constraints(lower=np.array([1.0, np.inf])), "its lower must hold finite numbers, not inf"),
         (Constraints(G=np.eye(2), h=np.array([1.0, np.inf])), "its h must hold finite numbers, not inf"),
     ],
 )

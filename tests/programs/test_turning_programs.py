@@ -4,21 +4,11 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import programs
+from cvxshear import backends, programs
+from cvxshear.fit.turning_floors import HeldProgram
 from cvxshear.motions import THREE_MOTIONS, products
 from cvxshear.programs.turning import TurningTest
 from tests.fe.plan_frames import random_frame
-
-
-def expected_masses(frame):
-    moments = frame.floor_mass[:, None] * frame.mass_center
-    inertia = frame.inertia + frame.floor_mass * np.sum(frame.mass_center**2, axis=1)
-    return np.column_stack([frame.floor_mass, moments, inertia]).ravel()
-
-
-def expected_stiffnesses(frame):
-    stories = [frame.story(story) for story in range(frame.stories)]
-    return np.ravel([[K[0, 0], K[1, 1], K[2, 2], K[0, 1], K[0, 2], K[1, 2]] for K in stories])
 
 
 def assert_close(found, expected, each, rtol):
@@ -40,8 +30,8 @@ def test_added_masses_at_their_places_are_known():
     declared = tested.to_dict()
     declared["frame"]["total_mass"] = frame.floor_mass.sum()
     masses = programs.one_shot_masses(declared).solve("kkt").x
-    assert_close(masses, expected_masses(frame), 4, 1e-8)
-    assert_close(programs.story_stiffnesses(declared, masses).solve("kkt").x, expected_stiffnesses(frame), 6, 1e-8)
+    assert_close(masses, frame.parameters[0], 4, 1e-8)
+    assert_close(programs.story_stiffnesses(declared, masses).solve("kkt").x, frame.parameters[1], 6, 1e-8)
 
 
 def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
@@ -60,6 +50,18 @@ def test_the_noise_of_the_rows_is_what_the_deviations_of_the_readings_make():
         change = 0.5 * (moved(step) - moved(-step))
         expected += change.T @ change
     np.testing.assert_allclose(rows.noise, expected, atol=1e-9 * np.max(expected))
+
+
+def test_even_stories_have_the_first_eigenvalue_as_rayleigh_quotient():
+    frame = random_frame(3, 4)
+    experiment = frame.experiment()
+    test, masses = TurningTest.of(experiment, experiment.configurations[0], "this test"), frame.parameters[0]
+    entries = test.even_stiffnesses(masses).reshape(-1, 6)
+    even = np.column_stack([np.ones((3, 2)), experiment.radius**2, np.zeros((3, 3))])
+    np.testing.assert_allclose(entries, entries[0, 0] * even)
+    phi, (first, *_) = test.shapes[:, 0], experiment.configurations[0].frequencies
+    quotient = phi @ THREE_MOTIONS.stiffnesses(entries.ravel()) @ phi / (phi @ THREE_MOTIONS.masses(masses) @ phi)
+    assert quotient == pytest.approx((2 * np.pi * first) ** 2)
 
 
 def test_what_no_sensor_sees_does_not_move():
@@ -116,6 +118,18 @@ def test_the_price_of_a_matrix_inequality_is_the_change_of_the_objective():
         moved = type(lmi)(lmi.name, lmi.constant + sign * step * np.eye(3), lmi.slopes)
         objectives.append(program.replace(lmi=(program.lmi[0], moved, program.lmi[2])).solve("clarabel").objective)
     assert (objectives[1] - objectives[0]) / (2 * step) == pytest.approx(-price, rel=1e-2)
+
+
+def test_a_matrix_at_its_limit_stays_singular_to_first_order_under_noise():
+    program, experiment = violated(), random_frame(3, 3).experiment(noise=0.002, seed=3, std=0.002)
+    test = TurningTest.of(experiment, experiment.configurations[0], "this test")
+    unit = test.even_masses[0] * experiment.units(1.0, 1.0)[experiment.of_floors]
+    held = HeldProgram.of(program, test.mass_rows(), test.even_masses, unit, backends.get("clarabel"))
+    least = []
+    for lmi in program.lmi:
+        v = np.linalg.eigh(lmi.at(held.solution.x))[1][:, 0]
+        least.append(np.linalg.norm(np.tensordot(lmi.slopes, np.outer(v, v), 2) @ held.response))
+    assert least[1] < 1e-6 * min(least[0], least[2])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -178,5 +192,12 @@ def test_what_is_missing_is_named(change, said):
         configuration["mode_shapes"][1][3] = change["reading"]
     with pytest.raises(cvxshear.UnsuitableError, match=said):
         programs.one_shot_masses(declared)
+    frame = random_frame(2, 1).experiment()
     with pytest.raises(cvxshear.UnsuitableError, match="turn"):
-        programs.mass_correction(random_frame(2, 1).experiment())
+        programs.mass_correction(frame)
+    with pytest.raises(cvxshear.InfeasibleError, match="total_mass"):
+        programs.one_shot_masses(frame, priors=[cvxshear.priors.Bounds("floor_mass", upper=1.0)])
+    with pytest.raises(cvxshear.InputError, match="mass matrix of floor 1 must be positive"):
+        programs.story_stiffnesses(frame, -np.ones(8))
+    with pytest.raises(cvxshear.UnsuitableError, match="it needs two modes"):
+        cvxshear.identify(random_frame(2, 1).experiment(1))

@@ -9,7 +9,7 @@ import pytest
 
 from cvxshear import InputError
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, from_arrays, identify_modes
-from cvxshear.records.clocks import offsets
+from cvxshear.records.clocks import Segments, offsets
 from cvxshear.records.diagnostics import reciprocity_findings
 from cvxshear.records.examination import examined
 from cvxshear.records.prepare import in_step, only, struck
@@ -98,6 +98,12 @@ def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
     assert told.reference != late
     np.testing.assert_allclose(told.seconds, seconds, atol=1e-9)
     np.testing.assert_allclose(told.unexplained, 0.0, atol=1e-6)
+
+
+def test_phases_are_nearer_with_any_delay_up_to_twice_the_true_one(record):
+    ratios = Segments.of(in_step(record, {"floor2": (-0.02, 0.0)})).against(1, [0])
+    seconds = np.array([-0.02, -0.001, 0.001, 0.01, 0.03, 0.039, 0.041, 0.06])
+    assert [ratios.nearer(each) for each in seconds] == (np.abs(seconds - 0.02) < 0.02).tolist()
 
 
 def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():

@@ -13,7 +13,7 @@ from cvxshear.records import Channel, Run, TimeRecord, identify_modes
 from cvxshear.records.examination import examined, one_a_floor
 from cvxshear.records.placement import ChannelMistake, findings_of, weighed
 from cvxshear.records.prepare import only, scaled
-from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record
 from cvxshear.report import terminal
 from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
@@ -182,27 +182,39 @@ def test_the_input_is_named_where_most_floors_move_against_it():
 
 @pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False), (1.5, False)])
 def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
-    """The table has no motion below this multiple of the first frequency; floor 2 is reversed, floor 3 is in g."""
+    """The table has no motion below this multiple of the first frequency; floor 2 is reversed, floor 3 is in g.
+
+    The motion is a thousandth of that of a strong earthquake: its size tells nothing.
+    """
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
     record = base_record(frame, 1, noise=0.0, duration=300.0, sampling_rate=50.0)
     (run,), random = record.runs, np.random.default_rng(1)
     cut = signal.butter(8, lowest * frame.modes()[0][0], "high", fs=50.0, output="sos")
     moved = signal.sosfilt(cut, np.column_stack([run.excitation, run.responses]), axis=0)
-    moved += 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape)
+    moved = 1e-3 * (moved + 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape))
     record = dataclasses.replace(record, runs=(Run(moved[:, 1:], moved[:, 0]),))
     found = examined(scaled(record, {"floor2": -1.0, "floor3": 1 / 9.80665})).findings
     expected = [("sign", "floor2"), ("unit", "floor3")] if told else []
     assert [(item.kind, item.numbers["channel"]) for item in found] == expected
 
 
-def test_a_missed_mode_is_weighed_against_a_reversed_channel():
-    """With two sensors and the second and third modes, the frequency ratio indicates a missed mode."""
+@pytest.mark.parametrize(
+    "floors", [(2, 6), (1, 2), (1, 6), (4, 6), (5, 6), (1, 3), (2, 4), (1, 5, 6), (1, 2, 5), (1, 3, 5), range(1, 7)]
+)
+def test_a_missed_mode_is_weighed_against_a_reversed_channel_and_exchanged_ones(floors):
+    """With the second and third modes, the frequency ratio and the changes of sign indicate a missed mode."""
     frequencies, shapes = KnownFrame(np.ones(6), np.ones(6), 0.01).modes()
-    floors = np.array([2, 6])
-    best = weighed(frequencies[1:3], shapes[1:3][:, floors - 1], floors, 6)[0]
+    floors = np.array(floors)
+    seen = shapes[:, floors - 1]
+    best = weighed(frequencies[1:3], seen[1:3], floors, 6)[0]
     assert (best.kind, best.missed > 0.5) == ("sound", True)
-    turned = shapes[:2][:, floors - 1] * np.array([1.0, -1.0])
-    assert weighed(frequencies[:2], turned, floors, 6)[0].kind == "sign"
+    for sign in (1.0, -1.0):
+        best = weighed(frequencies[:2], seen[:2] * [[1.0], [sign]], floors, 6)[0]
+        assert (best.kind, best.missed > 0.5) == ("sound", False)
+    assert weighed(frequencies[:2], seen[:2] * np.where(floors == floors[-1], -1.0, 1.0), floors, 6)[0].kind == "sign"
+    order = [1, 0, *range(2, len(floors))]
+    found = weighed(frequencies[:2], seen[:2][:, order], floors, 6)[0]
+    assert (found.kind, found.places) == ("swapped channels", (0, 1))
 
 
 @pytest.mark.parametrize("kept", [[0, 1, 3], [0, 2, 3], [1, 2, 3]])
@@ -415,6 +427,7 @@ def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
         ("g", 9.80665, "floor 2 is declared in g and looks like m/s2: ", "m/s2"),
         ("m/s2", 1 / 9.80665, "floor 2 is declared in m/s2 and looks like g: ", "g"),
         ("mg", 1 / 9.80665, "floor 2 is declared in mg and looks like 9.81 times that: ", None),
+        ("m/s", 9.80665, "floor 2 is declared in m/s and looks like 0.102 times that: ", None),
         (None, 1 / 9.80665, "floor 2 looks like g, the others like m/s2: ", "g"),
         (None, 9.80665, "floor 2 looks like m/s2, the others like g: ", None),
     ],
@@ -429,6 +442,14 @@ def test_a_wrong_unit_is_said_beside_the_declared_one(declared, times, expected,
     assert finding.numbers["unit"] == unit
     assert finding.numbers["factor"] == pytest.approx(1 / times)
     assert (f'Write unit = "{unit}"' in finding.message) == (unit is not None)
+
+
+def test_a_velocity_never_looks_like_g():
+    record = ambient_record(KnownFrame(np.full(5, 10.0), np.full(5, 2e4), 0.01), 1, noise=0.01, duration=300.0)
+    record = dataclasses.replace(scaled(record, {"floor2": 1 / 9.80665}), quantity="velocity")
+    (wrong,) = (item for item in identify_modes(record).findings if item.kind == "unit")
+    assert "looks like 9.81 times that" in wrong.message
+    assert (wrong.numbers["unit"], wrong.numbers["channel"]) == (None, "floor2")
 
 
 def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole():
@@ -447,3 +468,12 @@ def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(
 def test_what_a_release_leaves_in_the_model_is_no_spike():
     """The spike model uses the 24 preceding samples; nine samples after this release, its error is ten deviations."""
     assert "spikes" not in {finding.kind for finding in examined(sound_record(120002, "free_decay")).findings}
+
+
+@pytest.mark.parametrize("place", [24, 25, 600, 1175])
+def test_a_spike_is_found_wherever_the_model_reaches(place):
+    record = ambient_record(PAPER_FRAME, 3, noise=0.01, duration=60.0)
+    values = record.runs[0].responses.copy()
+    values[place, 1] += 30 * values[:, 1].std()
+    (spike,) = examined(dataclasses.replace(record, runs=(Run(values),))).findings
+    assert (spike.kind, spike.numbers) == ("spikes", {"channel": "floor2", "samples": 1})

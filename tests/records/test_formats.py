@@ -209,19 +209,10 @@ def test_universal_file_of_one_set(tmp_path, values):
 
 
 def test_measurement_file_says_what_was_given(tmp_path):
-    declared = {
-        "frame": {"stories": 2, "total_mass": 12.0},
-        "prior": [{"kind": "ratio", "quantity": "story_stiffness", "of": 1, "to": 2, "value": 1.0, "std": 0.1}],
-        "configuration": [
-            {
-                "name": 'an "odd" name\\',
-                "frequencies": [1.0, 2.5e-1 * 8],
-                "mode_shapes": [[0.5, float("nan")], [1.0, -0.25]],
-                "modes": [1, 2],
-                "mass_normalized": False,
-            }
-        ],
-    }
+    tested = {"frequencies": [1.0, 2.5e-1 * 8], "mode_shapes": [[0.5, float("nan")], [1.0, -0.25]]}
+    tested |= {"name": 'an "odd" name\\', "modes": [1, 2], "mass_normalized": False}
+    ratio = {"kind": "ratio", "quantity": "story_stiffness", "of": 1, "to": 2, "value": 1.0, "std": 0.1}
+    declared = {"frame": {"stories": 2, "total_mass": 12.0}, "prior": [ratio], "configuration": [tested]}
     write_measurement(tmp_path / "a.toml", declared, ["a comment\nthat [breaks] its line", "word " * 60])
     text = (tmp_path / "a.toml").read_text()
     again = tomllib.loads(text)

@@ -10,7 +10,7 @@ from cvxshear.records.frf import reach
 from cvxshear.records.prepare import measured_functions
 from cvxshear.records.result import band_of, synthesized
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, UnsuitableError
 
 
 @pytest.fixture(scope="module")
@@ -76,11 +76,15 @@ def test_a_force_without_a_frame_has_a_constant_function():
 
 
 def test_a_continuous_force_carries_the_masses():
-    result = identify_modes(shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3))
+    record = shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3)
+    result = identify_modes(record)
     assert result.mass_normalized
     frequencies, shapes = PAPER_FRAME.modes()
     np.testing.assert_allclose(result.frequencies, frequencies, rtol=1e-3)
     np.testing.assert_allclose(np.abs(result.mode_shapes), np.abs(shapes), atol=0.005)
+    both = (*record.runs, dataclasses.replace(record.runs[0], floor=2))
+    with pytest.raises(UnsuitableError, match="driven at floors 2, 3 cannot share"):
+        identify_modes(dataclasses.replace(record, runs=both))
 
 
 def test_modes_picked_by_hand():

@@ -11,7 +11,6 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from scipy import linalg
 
 import cvxshear
 from cvxshear import close_loop
@@ -21,6 +20,7 @@ from cvxshear.report.figures.mode_figures import mac_tables, mode_shapes
 from cvxshear.report.figures.style import inline_svg, letters, spread
 from cvxshear.util.errors import InputError
 from tests import frames
+from tests.loop.test_open_classes import measured_in
 
 OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.mac]
 
@@ -66,16 +66,11 @@ def test_no_text_of_a_loops_figure_overlaps_or_is_cut_off(draw, result, request)
 
 def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_story, no_heights):
     two_stage = cvxshear.identify(paper.experiment, method="two-stage")
-    for figure in (
-        figures.frame(two_stage),
-        figures.frame(no_heights),
-        figures.mac(two_stage),
-        figures.noise_boxes(study),
-        figures.noise_variation(study),
-        figures.noise_boxes(six_story),
-        figures.noise_variation(six_story),
-    ):
+    for figure in (figures.frame(two_stage), figures.frame(no_heights), figures.mac(two_stage)):
         assert_readable(figure)
+    for result in (study, six_story):
+        assert_readable(figures.noise_boxes(result))
+        assert_readable(figures.noise_variation(result))
 
 
 def test_the_residual_is_in_the_noise_of_the_final_model(paper):
@@ -269,20 +264,11 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
 
 def test_where_the_shear_model_fails_is_drawn_and_told():
     """An unmodeled brace (6000 kN/m) connects floors 1 and 4 of a five-story chain."""
-    rng, n, k = np.random.default_rng(4), 5, np.linspace(2.4e7, 1.6e7, 5)
+    rng, mass, k = np.random.default_rng(4), np.full(5, 1e4), np.linspace(2.4e7, 1.6e7, 5)
     across = np.array([-1.0, 0.0, 0.0, 1.0, 0.0])
-    K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1) + 6e6 * np.outer(across, across)
-    tests = []
-    for added in (0.0, 3e3):
-        mass = np.full(n, 1e4) + np.array([0, 0, 0, 0, added])
-        values, vectors = linalg.eigh(K, np.diag(mass))
-        shapes = vectors.T / np.abs(vectors.T).max(axis=1, keepdims=True)
-        tests.append({
-            "name": f"{added:g} kg", "state": "bare", "added_mass": (mass - 1e4).tolist(),
-            "frequencies": (np.sqrt(values) / (2 * np.pi) * (1 + 0.001 * rng.standard_normal(n))).tolist(),
-            "mode_shapes": (shapes + 0.01 * rng.standard_normal((n, n))).tolist(),
-            "frequency_std": 0.001, "mode_shape_std": 0.01,
-        })  # fmt: skip
+    K = frames.chain(mass, k)[1] + 6e6 * np.outer(across, across)
+    loads = {"bare": 0.0 * across, "loaded": np.array([0.0, 0.0, 0.0, 0.0, 3e3])}
+    tests = [measured_in(mass, k, rng, name=name, state="bare", added=load, K=K) for name, load in loads.items()]
     declared = {"frame": {"story_heights": 3.0, "total_mass": 5e4}, "configuration": tests}
     found = close_loop(cvxshear.Experiment.from_dict(declared), ["other_stiffness", "gravity", "base_rocking"])
     assert found.verdict == "located"

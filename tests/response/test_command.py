@@ -16,6 +16,8 @@ from cvxshear.response import DampedModel, DrivenRun, predict, response
 from tests.records.shared import channels, csv
 from tests.response.common import damped_frame, damped_measurement, matrices, shaking
 
+SHAKEN = ("frame.toml", "--record", "shaken.toml")
+
 pytestmark = pytest.mark.usefixtures("shared_loops")
 
 RECORD = """
@@ -44,7 +46,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_predict_beside_the_record(folder, printed):
-    said = json.loads(printed("predict", "frame.toml", "--record", "shaken.toml", "--json", "-"))
+    said = json.loads(printed("predict", *SHAKEN, "--json", "-"))
     assert {"before", "after", "peaks", "damping", "remarks"} <= set(said)
     assert set(said["after"]) == {"floors", "nrmse", "rms_ratio", "peak_ratio", "frf_error"}
     assert said["after"]["floors"] == [1, 2, 3]
@@ -56,7 +58,7 @@ def test_predict_beside_the_record(folder, printed):
 
 
 def test_predict_for_people(folder, printed):
-    out = printed("predict", "frame.toml", "--record", "shaken.toml", "--damping", "story")
+    out = printed("predict", *SHAKEN, "--damping", "story")
     assert "predicted accelerations beside the measured" in out
     assert "peaks ± standard deviation" in out
     assert "story dashpots" in out
@@ -67,7 +69,7 @@ def test_a_ground_motion_alone_is_enough(folder, run, printed):
     said = json.loads(printed("predict", "frame.toml", "--record", "ground.toml", "--json", "-"))
     assert said["after"] is None
     assert any("no accelerations of floors" in remark for remark in said["remarks"])
-    _, whole, _ = run("predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
+    _, whole, _ = run("predict", *SHAKEN, "--json", "-")
     compared = json.loads(whole)["peaks"]
     for name, values in said["peaks"].items():
         # The record's evidence of model errors only widens the deviations. The peaks stay.
@@ -87,10 +89,7 @@ def test_a_record_file_in_place_of_an_experiment(folder):
 
 def test_files_and_figures(folder, printed):
     wanted = ["s.npz", "h.svg", "p.png"]
-    printed(
-        "predict", "frame.toml", "--record", "shaken.toml", "--out", "s.npz",
-        "--figure", "history:h.svg", "--figure", "peaks:p.png",
-    )  # fmt: skip
+    printed("predict", *SHAKEN, "--out", "s.npz", "--figure", "history:h.svg", "--figure", "peaks:p.png")
     assert all((folder / name).stat().st_size > 0 for name in wanted)
 
 
@@ -98,35 +97,17 @@ def test_files_and_figures(folder, printed):
     ("arguments", "message"),
     [
         (("predict", "nowhere.toml", "--record", "shaken.toml"), "nowhere.toml: no such file"),
-        (
-            ("predict", "frame.toml", "--record", "frame.toml"),
-            "is a measurement file (it has [[configuration]]), not a record",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--damping", "viscous"),
-            "damping must be one of modal, story",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--out", "x.doc"),
-            "--out: x.doc must end in .csv or .mat",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--figure", "mac:x.svg"),
-            "no figure 'mac' here; there are history",
-        ),
-        (
-            ("predict", "frame.toml", "--record", "shaken.toml", "--figure", "peaks:x.doc"),
-            "--figure: x.doc must end in .svg or",
-        ),
-        (("predict", "frame.toml", "--record", "shaken.toml", "--backend", "none"), "no backend named 'none'"),
+        (("predict", "frame.toml", "--record", "frame.toml"), "is a measurement file (it has [[configuration]]), not"),
+        (("predict", *SHAKEN, "--damping", "viscous"), "damping must be one of modal, story"),
+        (("predict", *SHAKEN, "--out", "x.doc"), "--out: x.doc must end in .csv or .mat"),
+        (("predict", *SHAKEN, "--figure", "mac:x.svg"), "no figure 'mac' here; there are history"),
+        (("predict", *SHAKEN, "--figure", "peaks:x.doc"), "--figure: x.doc must end in .svg or"),
+        (("predict", *SHAKEN, "--backend", "none"), "no backend named 'none'"),
         (("predict", "paper", "--record", "shaken.toml"), "speaks of floor 3, the frame has 2 stories"),
         (("predict", "paper", "--record", "two.toml"), "nothing tells how the frame is damped"),
         (("reconstruct", "frame.toml", "--record", "ground.toml"), "no floor's acceleration was recorded"),
-        (
-            ("reconstruct", "frame.toml", "--record", "shaken.toml", "--out", "a.xyz"),
-            "--out: a.xyz must end in .csv or",
-        ),
-        (("reconstruct", "frame.toml", "--record", "shaken.toml", "--configuration", "other"), "configuration must be"),
+        (("reconstruct", *SHAKEN, "--out", "a.xyz"), "--out: a.xyz must end in .csv or"),
+        (("reconstruct", *SHAKEN, "--configuration", "other"), "configuration must be"),
     ],
 )
 def test_bad_input(folder, refused, arguments, message):
@@ -142,10 +123,7 @@ def test_the_prediction_is_printed_where_a_file_cannot_be_written_after_all(fold
 
     monkeypatch.setattr(os, "fsync", full)
     before = sorted(folder.iterdir())
-    status, out, err = run(
-        "predict", "frame.toml", "--record", "shaken.toml", "--out", "s.csv", "--csv", "p.csv",
-        "--figure", "peaks:p.svg",
-    )  # fmt: skip
+    status, out, err = run("predict", *SHAKEN, "--out", "s.csv", "--csv", "p.csv", "--figure", "peaks:p.svg")
     assert status == 2
     assert "peaks ± standard deviation" in out
     assert err.count("cannot be written: No space left on device") == 3
@@ -169,7 +147,7 @@ def test_a_mistake_is_refused_before_anything_is_predicted(folder, refused, monk
     write_measurement(path, declared)
     with monkeypatch.context() as patched:
         patched.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
-        err = refused("predict", "frame.toml", "--record", "shaken.toml")
+        err = refused("predict", *SHAKEN)
     assert "To mend it:" in err
     assert "[frame] accept = [" in err
 
@@ -180,10 +158,9 @@ def test_doubts_are_told_with_a_prediction(folder, run, printed):
     declared = cvxshear.load(path).to_dict()
     declared["frame"]["story_heights"] = [4000.0] * 3
     write_measurement(path, declared)
-    asked = ("predict", "frame.toml", "--record", "shaken.toml")
-    out = printed(*asked)
+    out = printed("predict", *SHAKEN)
     assert out.count("WARNING: ") == 1
-    (item,) = json.loads(run(*asked, "--json", "-")[1])["warnings"]
+    (item,) = json.loads(run("predict", *SHAKEN, "--json", "-")[1])["warnings"]
     assert "story_heights" in item["found"]
 
 

@@ -190,6 +190,18 @@ def test_a_frame_with_all_masses_and_stiffnesses_larger_moves_alike(kind):
         np.testing.assert_allclose(getattr(heavy, name), 1.15 * getattr(light, name))
 
 
+def test_errors_of_form_couple_the_six_lowest_modes_and_are_larger_beyond_the_measured_ones():
+    experiment, solver = cvxshear.Experiment.from_dict(damped_measurement(8, modes=range(1, 6))), backends.get("auto")
+    frame = UncertainFrame.of(Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver)
+    modes = frame.centre.model.modes
+    unit = modes.shapes / np.sqrt(modes.eigenvalues)[:, None]
+    modal = unit @ VariedFrame.around(frame).form @ unit.T
+    expected = np.diag([1.0] * 5 + [2.0, 3.0, 4.0])
+    expected[:6, :6] += 1.0 - np.eye(6)
+    np.testing.assert_allclose(modal.sum(axis=0), expected, atol=1e-9)
+    assert len(modal) == 8 + 15
+
+
 def test_larger_motions_and_smaller_gains_look_alike():
     """A common factor on two sensors and the ground sensor: equal readings mean a larger motion of the floors."""
     log_gain = 0.01 * np.eye(4)[[0, 2, 3]]

@@ -43,13 +43,9 @@ def recorded(truth, floors=(1, 2, 3), gain=None, samples=3000, input_floor=0, **
     excitation = shaking(samples, 1 / RATE, **options)
     found = response(truth, DrivenRun(excitation, input_floor), 1 / RATE).acceleration
     found = found * (np.ones(len(truth.M)) if gain is None else gain)
-    return TimeRecord(
-        tuple(Channel(f"floor{floor}", floor) for floor in floors),
-        name="shaken",
-        runs=(Run(found[:, np.array(floors) - 1], excitation, input_floor),),
-        sampling_rate=RATE,
-        input="force" if input_floor else "base",
-    )
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in floors)
+    runs, kind = (Run(found[:, np.array(floors) - 1], excitation, input_floor),), "force" if input_floor else "base"
+    return TimeRecord(channels, name="shaken", runs=runs, sampling_rate=RATE, input=kind)
 
 
 @pytest.mark.parametrize("input_floor", [0, 3])

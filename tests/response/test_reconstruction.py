@@ -19,6 +19,7 @@ from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.compare import as_predicted, readings_of
 from cvxshear.response.frame_motion import FrameMotion, settled_states, smooth
+from cvxshear.response.frame_prior import Linear
 from cvxshear.response.innovations import Directions, Filter, PredictionErrors, Segment
 from cvxshear.response.predicted import RESPONSES, histories
 from cvxshear.response.recording import parted, recording_of
@@ -241,6 +242,15 @@ def test_the_soft_story_is_named_though_predicted_drifts_are_wrong(softened):
     true = np.abs(drift).max(axis=0)
     assert np.max(np.abs(found.predicted_peaks.values["story_drift"] / true - 1)) > 0.05
     assert np.all(found.model.ratios == pytest.approx(study.RECORDED_RATIO, abs=0.003))
+    # The evidence is that of all answers together, with the likelihood linearized at the fitted frame.
+    at, p, prior = found.frame.errors.linearised(found.frame.p, found.frame.along), found.frame.p, found.frame.prior
+    each = [
+        Linear(at, p, prior.gaussian((), answer.form_std)).evidences(prior.changes, [answer.changed])[0]
+        + sum(prior.changes[place].log_odds for place in answer.changed)
+        for answer in found.frame.answers
+    ]
+    constant = 0.5 * (at.c @ at.c - found.frame.errors.objective(p))
+    assert found.frame.log_evidence == pytest.approx(np.logaddexp.reduce(each) + constant, rel=1e-9)
     lower, upper = found.frame.errors.bounds(found.frame.prior.gaussian((), 0.01))
     assert np.all((lower < 0) & (upper > 0))
     seen, not_seen = found.to_dict()["limits"]

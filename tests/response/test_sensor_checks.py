@@ -79,8 +79,8 @@ def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
     pieces = [(0, slice(0, 600)), (1, slice(0, 300))]
     findings = [
         told("dead channel", "a is dead", channel="a"),
-        told("sign", "b is reversed", channel="b + c", corrected=True),
-        told("unit", "d in g", channel="d", factor=9.8, corrected=True),
+        told("sign", "d is reversed", channel="c + d", corrected=True),
+        told("unit", "b in g", channel="b", factor=9.8, corrected=True),
         told("unit", "perhaps", channel="d", factor=3.0, corrected=False),
         told("sign", "the ground is reversed", channel="input", corrected=True),
         told("direction", "askew", channels=["d"]),
@@ -88,10 +88,10 @@ def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
     ]
     channels, found = corrected(CHANNELS, record, findings, pieces)
     assert [each.name for each in channels] == ["b", "d"]
-    said = "before", "a is dead", "b is reversed", "d in g", "perhaps", "the ground is reversed", "askew"
+    said = "before", "a is dead", "d is reversed", "b in g", "perhaps", "the ground is reversed", "askew"
     assert found.remarks == said
     for before, after in zip(record.runs, found.runs, strict=True):
-        np.testing.assert_allclose(after.measured, before.measured[:, 1:] * [-1.0, 9.8])
+        np.testing.assert_allclose(after.measured, before.measured[:, 1:] * [9.8, -1.0])
     np.testing.assert_allclose(found.runs[1].excitation, -2.0)
 
 
@@ -126,7 +126,7 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     samples = 4 * FEWEST_SAMPLES
     values = np.random.default_rng(1).standard_normal((samples, 2))
     values[FEWEST_SAMPLES, 0] = np.nan
-    values[2 * FEWEST_SAMPLES + 5, 1] = np.nan
+    values[[2 * FEWEST_SAMPLES + 5, samples - 10], 1] = np.nan
     excitation = np.ones(samples)
 
     def pieces(excitation):
@@ -135,7 +135,7 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
         return [(place, part.start, part.stop) for place, part in whole_pieces(record)]
 
     expected = [(0, 0, FEWEST_SAMPLES), (0, FEWEST_SAMPLES + 1, 2 * FEWEST_SAMPLES + 5),
-                (0, 2 * FEWEST_SAMPLES + 6, samples)]  # fmt: skip
+                (0, 2 * FEWEST_SAMPLES + 6, samples - 10)]  # fmt: skip
     assert pieces(excitation) == expected
     still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
     assert pieces(still) == expected[1:]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from cvxshear.response.innovations import Filter
+from cvxshear.response.innovations import Filter, strongest
 from cvxshear.response.state_space import Noise, Setting, discretized, doubled, dynamics, recursion
 from tests.frames import chain
 
@@ -131,3 +131,12 @@ def test_a_transition_that_grows_without_limit_has_no_covariance():
     np.testing.assert_allclose(doubled(A, Q), linalg.solve_discrete_lyapunov(A, Q))
     with pytest.raises(linalg.LinAlgError, match="64 bits"):
         doubled(1e3 * A, Q)
+
+
+def test_the_strongest_part_of_a_record_is_that_of_all_channels_relative_to_their_means():
+    y = np.random.default_rng(3).standard_normal((300, 2)) * [1.0, 50.0]
+    y[120:180, 0] = -2.0 * np.abs(y[120:180, 0])
+    y[200, 1] = 300.0
+    sums = [np.sum(y[at : at + 60] ** 2 / np.mean(y**2, axis=0)) for at in range(241)]
+    assert strongest(y, 60) == slice(np.argmax(sums), np.argmax(sums) + 60)
+    assert strongest(y, 300) == slice(0, 300)

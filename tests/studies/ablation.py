@@ -28,12 +28,11 @@ SURE = 0.95
 RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "many causes are weighed against an unknown one": ("loop.posterior", {"MANY_CAUSES": 99}),
     "causes must have been made more probable": ("loop.posterior", {"RAISED": 1.0}),
-    "beam of six sets": ("loop.search", {"BEAM": 3}),
+    "six sets and six further effects": ("loop.search", {"BEAM": 3}),
     "sets within a thousandth of the best are followed": ("loop.search", {"WITHIN": 4.0}),
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
     "at most 600 small fits": ("loop.search", {"MOST_WORK": 200}),
     "at most twenty starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
-    "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),
     "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
 }

@@ -4,7 +4,7 @@
 an operator, a comparison, a constant, a negated condition, a dropped return) over the package. It runs the related
 tests on a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the
 others. A change that makes the tests exceed the time limit counts as found. Changes without any effect are left out:
-annotations, messages, choices of a word, printed forms and guards against division by zero.
+annotations, messages, choices of a word, printed forms, sizes that numpy fills in, and guards against division by zero.
 
 The related tests follow from the imports and names in each file, see `tests_of`; no recording is needed.
 """
@@ -84,8 +84,8 @@ def mutants(module):
 
 
 def _not_changed(tree):
-    """Return nodes without effect on results: annotations, messages, docstrings, choices of a word, printed forms, and
-    tiny numbers that only keep a divisor from zero."""
+    """Return nodes without effect on results: annotations, messages, docstrings, choices of a word, printed forms,
+    sizes that numpy fills in, and tiny numbers that only keep a divisor from zero."""
     found = set()
     for node in ast.walk(tree):
         parts = [getattr(node, key, None) for key in ("annotation", "returns", "decorator_list", "bases")]
@@ -101,6 +101,9 @@ def _not_changed(tree):
             parts.append(node)
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < TINY:
             parts.append(node)
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "reshape":
+            # numpy takes -2 as it takes -1: for the size that is left.
+            parts += [each.operand for each in node.args if isinstance(each, ast.UnaryOp)]
         for part in parts:
             for each in part if isinstance(part, list) else [part]:
                 if each is not None:
