@@ -25,7 +25,7 @@ COSTS = TESTS / "costs.txt"
 it."""
 
 COSTLY, LONG = 0.5, 1.0
-"""Lowest processor seconds for an entry in that table, and for the mark `long`. About one test in twenty is long; these
+"""Lowest processor seconds for an entry in that table, and for the mark `long`. About one test in ten is long; these
 take half of the total time. `python -m pytest -m "not long"` leaves them to CI."""
 
 ON_MEASURED = "docs/measured/"

@@ -422,7 +422,8 @@ def backends(
         return
     experiment = cvxshear.load(file)
     with progress("comparing backends", quiet):
-        result = cvxshear.compare_backends(experiment, output.names(names), repeats=repeats, tolerance=tolerance)
+        chosen = output.names(names) or None
+        result = cvxshear.compare_backends(experiment, chosen, repeats=repeats, tolerance=tolerance)
     title = experiment.report.title or experiment.name
     deliver(result.to_dict(), out, lambda: terminal.shown(result), title=title)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import copy
 import inspect
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial, wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
@@ -71,12 +71,12 @@ def input_files(context: typer.Context, files: Any) -> Any:
     for file in [files] if isinstance(files, str) else files:
         used.append(file)
         # The command itself reports a missing file, a device or a pipe.
-        context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
+        context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if os.path.isfile(file) else ()))
     _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta.get(READ, ()))
     return files
 
 
-def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[Path]) -> None:
+def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[os.PathLike[str]]) -> None:
     for source in read:
         for option, path in written:
             if same_file(path, source):
@@ -159,7 +159,7 @@ def writes(*names: str, endings: Sequence[str], what: str = "", metavar: str = "
     """Declare an option that names an output file with one of these endings, which is checked before the command."""
 
     def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
-        if path is not None and path != "-" and not context.resilient_parsing:
+        if path is not None and (path != "-" or ".json" not in endings) and not context.resilient_parsing:
             claim(context, option.opts[0], path, endings)
         return path
 

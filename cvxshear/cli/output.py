@@ -167,8 +167,8 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
 
 
 def names(text: str | None) -> list[str] | None:
-    """Split the names of a comma-separated option."""
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+    """Split the names of a comma-separated option, each once."""
+    return None if text is None else list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
 def numbers(

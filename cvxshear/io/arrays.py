@@ -250,8 +250,7 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
         If the file cannot be read or its functions have different abscissae, naming the function.
     """
     where = str(path)
-    functions = _sets(Path(path), 58, limit)
-    if not functions:
+    if not (functions := _sets(Path(path), 58, limit)):
         raise InputError(f"{where} holds no function (data set 58)")
     axis = np.asarray(functions[0]["x"], dtype=np.float64)
     named: dict[str, Floats] = {"frequency" if int(functions[0]["func_type"]) == FRF else "time": axis}
@@ -294,8 +293,7 @@ def read_mode_uff(path: str | Path) -> Json:
         If the file cannot be read or holds no mode.
     """
     where = str(path)
-    modes = _sets(Path(path), 55, LIMIT)
-    if not modes:
+    if not (modes := _sets(Path(path), 55, LIMIT)):
         raise InputError(f"{where} holds no mode (data set 55)")
     nodes = [np.atleast_1d(item["node_nums"]).astype(np.int64) for item in modes]
     if any("freq" not in item for item in modes) or len({each.tobytes() for each in nodes}) > 1:

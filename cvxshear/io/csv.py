@@ -230,8 +230,7 @@ def _first_line(head: Sequence[Line], where: str) -> Layout:
 
     Semicolons, tabs and commas inside quotation marks are part of a name.
     """
-    plain = [each for each in head if not _comment(each[1])]
-    if not plain:
+    if not (plain := [each for each in head if not _comment(each[1])]):
         raise InputError(f"{where} is empty; a table has a header that names its columns, and a line a sample or mode")
     number, text = plain[0]
     bare = re.sub(r'"[^"]*"', "", text)
@@ -348,8 +347,7 @@ def _seconds(stamp: re.Match[str], where: str) -> float:
 
 
 def _cells(line: str, separator: str | None, where: str) -> list[str]:
-    found = _split(line, separator)
-    if found is None:
+    if (found := _split(line, separator)) is None:
         raise InputError(f"{where} is no line of a table: its quotation marks do not close around a cell")
     return found
 

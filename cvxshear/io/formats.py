@@ -229,6 +229,6 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
     if found is not None and found.columns is not None and not (toml and path.suffix.lower() in ANY_TEXT):
         raise InputError(
             f"{path} is {found.words}, which does not say which column is which floor: 'cvxshear new --record {path} "
-            f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in, and "
-            "that is what the command takes"
+            f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in (of a "
+            "table of modes, 'cvxshear new --from' a measurement file), and that is what the command takes"
         )

@@ -18,7 +18,7 @@ import numpy as np
 
 from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns, refuse_data
-from cvxshear.io.toml import parse, read_text
+from cvxshear.io.toml import built_in_text, is_built_in, parse, read_text
 from cvxshear.records import record as kinds
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
 from cvxshear.records.motion import differentiated
@@ -111,7 +111,7 @@ class RecordFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         refuse_data(path)
-        text = read_text(path)
+        text = built_in_text(str(path)) if is_built_in(str(path)) else read_text(path)
         found = parse(text, path)
         if "configuration" in found and "record" not in found:
             raise InputError(

@@ -204,7 +204,9 @@ def read_mode_xlsx(path: str | Path) -> Json:
 
 
 def _modes_of(columns: Columns) -> Json:
-    """Return the keys of a configuration that a table holds."""
+    """Return the keys of a configuration that a table holds; empty lines at its end do not count."""
+    filled = np.flatnonzero(np.isfinite(columns.values).any(axis=1))
+    columns = columns.rows(slice(int(np.max(filled, initial=-1)) + 1))
     source, values = columns.source, columns.values
     found = _places(columns, _mode_key, "a table of modes: mode, frequency, frequency std, damping, floor 1, ...")
     places = {key: place for (key, floor, _), place in found.items() if floor == 0}
@@ -222,8 +224,7 @@ def _modes_of(columns: Columns) -> Json:
     if ("entry", True) in units:
         result["mass_normalized"] = True
     if stds:
-        lacking = sorted(set(entries) - set(stds))
-        if lacking:
+        if lacking := sorted(set(entries) - set(stds)):
             raise InputError(f"{source} has no std for floor {lacking[0]}, and one for others; give each one, or none")
         # Deviations without a unit are relative to the mode's largest entry.
         largest = np.nanmax(np.abs(shapes), axis=1, keepdims=True) if ("std", True) in units else 1.0
@@ -240,8 +241,7 @@ def _modes_of(columns: Columns) -> Json:
 
 
 def _refuse_empty(columns: Columns, place: int) -> None:
-    missing = np.flatnonzero(np.isnan(columns.values[:, place]))
-    if missing.size:
+    if (missing := np.flatnonzero(np.isnan(columns.values[:, place]))).size:
         where = f'{columns.at(int(missing[0]))}: column "{columns.names[place]}"'
         raise InputError(f"{where} is empty; fill it in, or leave the line out")
 
@@ -264,20 +264,18 @@ def _places(columns: Columns, key_of: Callable[[str], Key | None], known: str) -
 
 def _mode_key(name: str) -> tuple[str, int, bool] | None:
     """Return the key of a configuration, or "entry" or "std" with the floor and whether the unit is 1/sqrt(kg)."""
-    floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", name)
-    if floor is not None:
+    if floor := re.fullmatch(r"floor ?([1-9]\d*)( std)?( 1 (?:sqrt )?kg)?", name):
         return "std" if floor[2] else "entry", int(floor[1]), floor[3] is not None
     return (COLUMNS[name], 0, False) if name in COLUMNS else None
 
 
 #: Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor.
-REPEATED = re.compile(r"(?:(?:frequency|f) ?(\d+)(?: hz)?|shape ?(\d+) (\d+))")
+REPEATED = re.compile(r"(?:(?:frequency|f) ?([1-9]\d*)(?: hz)?|shape ?([1-9]\d*) ([1-9]\d*))")
 
 
 def _test_key(name: str) -> tuple[int, int] | None:
     """Return the mode, with the floor of a shape's entry or 0 for a frequency; (0, 0) for the block."""
-    found = REPEATED.fullmatch(name)
-    if found is None:
+    if not (found := REPEATED.fullmatch(name)):
         return (0, 0) if name == "block" else None
     return (int(found[1]), 0) if found[1] else (int(found[2]), int(found[3]))
 

@@ -198,7 +198,8 @@ def said_unit(columns: Columns, name: str) -> tuple[str, str]:
     last = name.rsplit(maxsplit=1)[-1] if " " in name.strip() else ""
     if not said and CHANNEL_UNITS.get(_known_unit(last), ("",))[0] == "acceleration":
         known.append((_known_unit(last), last))
-    return known[-1] if known else ("", candidates[0] if candidates else "")
+    # "acc[1]" is the first column of a matrix.
+    return known[-1] if known else ("", next((each for each in candidates if not each.isdigit()), ""))
 
 
 def _known_unit(said: str) -> str:
@@ -276,8 +277,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
     else:
         time = time_column(columns)
         rate = _rate(columns, time)
-    guesses = guesses_of(columns, [name for name in columns.names if name != time])
-    if not guesses:
+    if not (guesses := guesses_of(columns, [name for name in columns.names if name != time])):
         raise InputError(f"{path} has no column of numbers besides the time; is it a record?")
     roles = {each.role for each in guesses}
     kind, why = (
@@ -341,8 +341,7 @@ def _rate(columns: Columns, time: str | None) -> str:
         name, rate = columns.stated_rate
         return f"sampling_rate = {rate:.9g}  # Hz, GUESSED from {toml_line('x', name)[4:]} in the file"
     if time is None:
-        found = RATE.search(columns.preamble)
-        if found is None:
+        if not (found := RATE.search(columns.preamble)):
             return "# sampling_rate = 100.0  # Hz: FILL IN, the file has no column of time"
         return f"sampling_rate = {float(found[1].replace(',', '.'))}  # Hz, GUESSED from {toml_line('x', found[0])[4:]}"
     unit = said_unit(columns, time)[0]

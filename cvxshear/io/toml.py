@@ -70,8 +70,16 @@ def load(path: str | Path) -> Experiment:
         )
     with checks.named(str(path)):
         experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
-        for expected in experiment.expected:
-            checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
+        known = {effect.name: effect for effect in catalogue()}
+        for each in experiment.expected:
+            effect = known[checks.choice(each.name, list(known), "effect: name")]
+            places = [] if effect.unavailable(experiment) else effect.places(experiment)
+            if places and not any(each.concerns(each.name, vars(place)) for place in places):
+                said = {key: getattr(each, key) for key in ("floor", "to", "story", "state")}
+                given = ", ".join(f"{key} = {value}" for key, value in said.items() if value is not None)
+                nearest = max(places, key=lambda place: sum(getattr(place, key) == said[key] for key in said))
+                there = nearest.describe() or "the whole frame"
+                raise InputError(f"effect {each.name}: {given} is no place of it; one is: {there}")
     return experiment
 
 
@@ -100,7 +108,7 @@ def read_text(path: Path) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         refuse_data(path, toml=False)
-        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
+        raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a TOML file, saved as UTF-8?") from None
 
 
 def parse(text: str, path: Path) -> dict[str, object]:
@@ -189,8 +197,7 @@ def _resolved(table: object, place: int, folder: Path) -> object:
     readers = {each.name: each.read_modes for each in FORMATS if each.modes is not None} | {"repeats": read_repeats}
     if not isinstance(table, Mapping) or isinstance(table.get("repeats"), Mapping):
         return table
-    named = [key for key in readers if key in table]
-    if not named:
+    if not (named := [key for key in readers if key in table]):
         return table
     where = f"configuration {place}"
     replaced = ("frequencies",) if named == ["repeats"] else ("frequencies", "mode_shapes")

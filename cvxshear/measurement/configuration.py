@@ -389,7 +389,7 @@ class Configuration(InTable):
                 "frequencies that is known exactly; with fewer tests than frequencies, give repeats"
             )
         self._put("frequency_covariance", checks.frozen(0.5 * (covariance + covariance.T)))
-        self._replace({"frequency_std": std}, "frequency_covariance")
+        self._replace({"frequency_std": std}, "frequency_covariance" if self.repeats is None else "repeats")
 
     def _refuse_ratios(self, ratios: Floats) -> None:
         where = self._at("damping_ratios")

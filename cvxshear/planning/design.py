@@ -142,7 +142,7 @@ class Design:
             experiment.priors,
             None if fresh else found.experiment,
             found.experiment.configurations,
-            experiment.name,
+            experiment.report.title or experiment.name,
         )
 
     @staticmethod

@@ -40,7 +40,8 @@ def _closure(result: LoopResult) -> blocks.Document:
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
-    title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
+    title = result.experiment.report.title or result.experiment.name
+    text = f"{result.verdict.upper()}: {headline.headline(result)}"
     data = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
     line = f"{title}: {result.verdict}, {headline.some(found) or 'nothing added'}"
@@ -137,7 +138,7 @@ def _by_state(
 ) -> Iterator[blocks.Table]:
     """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
     judged, experiment = result.judged, result.experiment
-    tests = {each.state: each for each in reversed(experiment.configurations)}
+    tests = {each.state: each for each in reversed(experiment.tested)}
     first = experiment.frame.reference
     states = sorted(experiment.states, key=lambda name: name != first)
     found = [(f'"{name}"', quantity(compose(experiment, tests[name], judged.effects, judged.theta))) for name in states]

@@ -49,12 +49,12 @@ def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
     """Yield the noise of each kind of data."""
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
+        partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
         if estimated is None:
-            yield name, "as stated"
+            yield name, "as stated" if partly else "the default: neither stated nor told by the data"
             continue
         factor, std = estimated["factor"], estimated["std"]
         (size, size_std), unit = kind.sized(factor, std)
-        partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
         where = ", where it is not stated" if partly else ""
         yield name, f"{with_std(size, size_std, unit)} (estimated: {with_std(factor, std)} times the default{where})"
 
@@ -128,7 +128,8 @@ def _doubt(result: LoopResult) -> str:
         return "nothing could speak against it, as there are no more data than unknowns"
     if not result.effects and raised and (result.verdict == "adequate" or not in_doubt(result)):
         best = raised[0]
-        said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
+        grown = f"{chance(best.probability)}, before {chance(best.prior)}"
+        said = f"of what the data make more probable, {best.placed.label} comes first ({grown})"
     elif _piled(result):
         said = "so many kinds of cause at once are less probable than one that nobody thought of"
     elif doubtful and len(result.effects) <= NAMED:
@@ -211,25 +212,23 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
     """
     first, last = chi2_by_kind(before), chi2_by_kind(after)
     falls = {kind: max(value - last.get(kind, 0.0), 0.0) for kind, value in first.items()}
-    total = sum(falls.values())
-    if total <= 0:
+    if (total := sum(falls.values())) <= 0:
         return {}
     return {kind: falls[kind] / total for kind in ranking.ranked(falls, falls.__getitem__)}
 
 
 def evidence_in_words(result: LoopResult) -> str:
-    """Name the kind of data that supports the effects; empty if the model has no effects.
+    """Name the kind of data that supports the effects; empty without effects that reduce an error of the model.
 
     Parameters
     ----------
     result : LoopResult
     """
-    share_of_kind = carried_by(result.before.estimate, result.estimate) if result.effects else {}
+    # Less weight of the scattering data lowers the residuals of the others.
+    share_of_kind = {} if _only_accuracy(result) else carried_by(result.before.estimate, result.estimate)
     if not share_of_kind:
         return ""
     kind = plural_of(next(iter(share_of_kind)))
-    if _only_accuracy(result):
-        return f"The evidence lies in the residuals of the {kind}, which scatter more than was declared."
     said = [
         f"{percent(part, 0)} lie in the {plural_of(each)}" for each, part in share_of_kind.items() if round(100 * part)
     ]

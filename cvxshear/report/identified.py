@@ -144,7 +144,7 @@ def frame_table(
         factor, shown = known(values.tolist()) if known else quantities.fitting(values.tolist(), unit)
         at_bound = frame.stopped(name)
         texts = (
-            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
+            f"{quantities.significant(value / factor, 5)} (at a bound)" if stopped else text
             for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         )
         head = f"{name.removeprefix('story_').removeprefix('floor_').replace('_', ' ')}, {shown}"
@@ -279,7 +279,8 @@ def _identification(result: results.Identification) -> blocks.Document:
     )
     predicted = [item for part in result.parts for item in part.predictions]
     data = frames_table(result), frequencies_table(result.experiment, predicted)
-    title, stories = result.experiment.name, quantities.counted(result.experiment.stories, "story")
+    title = result.experiment.report.title or result.experiment.name
+    stories = quantities.counted(result.experiment.stories, "story")
     worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
     ended = "" if result.converged else ", not converged"
     line = f"{title}: {result.method}, {stories}, largest frequency error {worst}{ended}"
@@ -404,8 +405,7 @@ def _fit(part: results.SingleIdentification) -> str:
     largest, rms = quantities.percents([fit.max_frequency_error, fit.rms_frequency_error])
     said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
     for figure in (each for kind in noise_kinds().values() for each in kind.figures if kind is not Frequencies.noise):
-        error = fit.errors[figure.key]
-        if error is not None:
+        if (error := fit.errors[figure.key]) is not None:
             value = quantities.percent(error) if figure.relative else quantities.significant(error, 6)
             said.append(f"{figure.label} {value}")
     test = "" if fit.p_value is None else f" ({quantities.equals(fit.p_value)})"

@@ -191,8 +191,7 @@ def data_frame_of(result: object) -> pd.DataFrame:
     InputError
         If the result has no table for programs, or pandas is not installed.
     """
-    tables = describe(result).data
-    if not tables:
+    if not (tables := describe(result).data):
         raise UnsuitableError(f"a {type(result).__name__} has no table of numbers; to_dict() returns its values")
     found = {column_name(name, column.unit): values for column in tables[0].columns for name, values in column.exported}
     made = data_frame(found)

@@ -176,9 +176,7 @@ def pulled(rng=None, noise=0.0):
     u = np.linalg.solve(chain(MASS, STIFFNESS)[1], FORCE)
     if noise:
         u = u + noise * u.max() * rng.standard_normal(4)
-    declared["static"] = [
-        {"state": "test 1", "force": FORCE.tolist(), "displacement": u.tolist(), "displacement_std": noise or 0.01}
-    ]
+    declared["static"] = [{"force": FORCE.tolist(), "displacement": u.tolist(), "displacement_std": noise or 0.01}]
     return Experiment.from_dict(declared)
 
 
@@ -198,6 +196,7 @@ def test_a_static_test_s_noise_is_in_the_standard_deviations():
     result = close_loop(pulled(np.random.default_rng(1), 0.01))
     assert result.verdict == "adequate"
     assert result.after.estimate.quality.max_displacement_error < 0.05
+    assert '"static test 1"' in str(result)  # a state of its own
 
 
 @dataclass(frozen=True, eq=False)

@@ -200,7 +200,7 @@ def test_what_a_declared_bound_holds_is_at_a_bound_and_has_no_deviation():
     assert min(said["frame"]["floor_mass_std"][1:]) > 0
     assert np.all(held.frame.floor_mass_std[1:] <= free.frame.floor_mass_std[1:])
     assert np.isnan(held.to_dataframe().floor_mass_std_kg[0])
-    assert "(at a bound)" in str(held)
+    assert f"{limit:.5g} (at a bound)" in str(held)
 
 
 def test_the_least_that_counts_as_positive_is_shown_as_a_bound():

@@ -57,7 +57,7 @@ def test_what_the_table_says_besides(tmp_path):
 
 
 def test_an_empty_cell_was_not_measured(tmp_path):
-    (tmp_path / "modes.csv").write_text("frequency,floor 1,floor 3\n1.0,0.4,1.0\n3.0,,1.0\n")
+    (tmp_path / "modes.csv").write_text("frequency,floor 1,floor 3\n1.0,0.4,1.0\n3.0,,1.0\n,,\n")
     one = cvxshear.load(measurement(tmp_path, 'csv = "modes.csv"', "stories = 3")).configurations[0]
     np.testing.assert_array_equal(one.measured_floors, [1, 3])
     np.testing.assert_array_equal(one.mode_shapes, [[0.4, 1.0], [np.nan, 1.0]])
@@ -70,6 +70,7 @@ def test_an_empty_cell_was_not_measured(tmp_path):
         ("frequency,floor 1\n2.9,x\n", "", "line 2: column \"floor 1\" holds 'x', which is not a number"),
         ("frequency,floor 1\n,1.0\n", "", 'line 2: column "frequency" is empty'),
         ("frequency,roof\n2.9,1.0\n", "", 'column "roof" is not one of a table of modes'),
+        ("frequency,floor 0,floor 1\n2.9,0,1\n", "", 'column "floor 0" is not one of a table of modes'),
         ("frequency,floor 1,floor 1\n2.9,1,1\n", "", 'has two columns named "floor 1"'),
         ("mode,floor 1\n1,1.0\n", "", 'needs a column "frequency"'),
         ("frequency,floor 1\n2.9,1.0,3.0\n", "", "line 2 has 3 cells where the header names 2 columns"),

@@ -190,6 +190,7 @@ def test_a_rate_as_a_number_of_its_own(ending, name, values, begin, tmp_path):
     said, record = begin(f"a.{ending}")
     check(record, values)
     assert f'sampling_rate = 20  # Hz, GUESSED from "{name}" in the file' in said
+    assert "the file says" not in said  # the 1 of floors[1] is no unit
     # A record file without a rate accepts it as well.
     (tmp_path / "b.toml").write_text("\n".join(each for each in said.splitlines() if "sampling_rate" not in each))
     check(read_record(tmp_path / "b.toml").record, values)

@@ -293,8 +293,10 @@ FILES = [
     (b"[frame]\n[frame]\n", " is not valid TOML: Cannot declare ('frame',) twice (at line 2, column 7)"),
     (SOUND.replace("31.33", "31,33").encode(),
      " is not valid TOML: Expected newline or end of document after a statement (at line 2, column 16)"),
-    (b"\x89PNG\r\n\x1a\n\x00\x00", " is not UTF-8 text (byte 0); is it a measurement file?"),
-    (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a measurement file?"),
+    (b"\x89PNG\r\n\x1a\n\x00\x00", " is not UTF-8 text (byte 0); is it a TOML file, saved as UTF-8?"),
+    (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a TOML file, saved as UTF-8?"),
+    (SOUND.encode() + b'[[effect]]\nname = "wall"\nfloor = 1\n',
+     ": effect wall: floor = 1 is no place of it; one is: the whole frame"),
     (b"x = " + b"[" * 50_000, " is not valid TOML: maximum recursion depth exceeded"),
     (b"[frame]\nstories = " + b"9" * 5000,
      " is not valid TOML: Exceeds the limit (4300 digits) for integer string conversion: value has 5000 digits; use "

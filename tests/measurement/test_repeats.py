@@ -210,6 +210,7 @@ REPEATS = [
     ({"frequencies": TESTS, "days": []}, "the table: unknown key 'days'"),
 ]
 GIVEN = {"frequencies": FREQUENCIES.tolist()}
+TWICE = "frequency_std and {} are both given: leave frequency_std out"
 
 
 @pytest.mark.parametrize(
@@ -217,10 +218,8 @@ GIVEN = {"frequencies": FREQUENCIES.tolist()}
     [
         *((GIVEN | {"frequency_covariance": value}, message) for value, message in COVARIANCES),
         *(({"repeats": value}, message) for value, message in REPEATS),
-        (
-            GIVEN | {"frequency_covariance": SQUARE, "frequency_std": 0.01},
-            "frequency_std and frequency_covariance are both given: leave frequency_std out",
-        ),
+        (GIVEN | {"frequency_covariance": SQUARE, "frequency_std": 0.01}, TWICE.format("frequency_covariance")),
+        ({"repeats": {"frequencies": TESTS}, "frequency_std": 0.01}, TWICE.format("repeats")),
         (GIVEN | {"repeats": {"frequencies": TESTS}}, "frequencies and repeats are both given: leave frequencies out"),
     ],
 )

@@ -100,7 +100,7 @@ def test_an_adequate_headline_says_within_which_noise(paper):
     adequate = dataclasses.replace(paper, verdict="adequate", effects=(), steps=paper.steps[-1:])
     factor = paper.noise.to_dict()["frequency"]["factor"]
     assert f"within an estimated noise of {0.2 * factor:.2f} % of frequencies" in headline(adequate)
-    assert "gravity is the most probable" in headline(adequate)
+    assert f"gravity comes first ({chance(paper.candidates[0].probability)}, before 50.0 %)" in headline(adequate)
 
 
 def test_the_headline_names_the_error_of_the_data_that_carried_the_verdict(paper):
@@ -184,6 +184,8 @@ def test_the_noise_is_told_in_percent_and_as_a_factor(paper, unexplained):
     factor, std = (paper.noise.to_dict()["mode_shape"][key] for key in ("factor", "std"))
     assert f"{factor:.2f} ± {std:.2f} % (estimated: {factor:.2f} ± {std:.2f} times the default)" in said
     assert "noise of frequencies  as stated" in terminal.text(unexplained)
+    one = {"frame": {"total_mass": 10.0}, "configuration": [{"frequencies": [2.0], "mode_shapes": [[1.0]]}]}
+    assert "noise of mode shapes  the default: neither stated" in str(close_loop(one))
 
 
 def test_a_fit_that_did_not_converge_is_said_wherever_its_numbers_are_shown(paper):
