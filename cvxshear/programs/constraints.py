@@ -215,6 +215,8 @@ def refuse_infeasible(experiment: Experiment) -> None:
     InfeasibleError
         Naming a smallest set of statements that contradict each other.
     """
-    n, priors = experiment.stories, experiment.priors
-    refuse_contradictions(statements(priors, "floor_mass", n, exact_frame(experiment.frame)), n)
+    n, priors, frame = experiment.stories, experiment.priors, exact_frame(experiment.frame)
+    # Floors that share a total are heavier than rounding.
+    least = LEAST_POSITIVE**2 * (frame.total_mass or 0.0) / n
+    refuse_contradictions(statements(priors, "floor_mass", n, frame, least), n)
     refuse_contradictions(statements(priors, "story_stiffness", n), n)
