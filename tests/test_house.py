@@ -156,7 +156,7 @@ def test_a_name_means_one_thing():
     assert parameters == []
 
 
-BUDGET = {"lines of code": 24_881, "modules": 149, "numeric constants": 336, "lines of imports": 1_875}
+BUDGET = {"lines of code": 24_883, "modules": 149, "numeric constants": 336, "lines of imports": 1_875}
 """Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
 
 

@@ -29,6 +29,8 @@ from cvxshear.util.typing import Floats, Ints, Json, T
 #: Kind of the open classes, and the common name of all of them.
 OPEN = "open"
 
+#: Smallest number of kinds of effects in one state (or in the frame) that an unknown cause may imitate.
+MANY_CAUSES = 3
 
 #: Default probability that a test overlooked a mode between its modes. Ambient tests of tall buildings lose a mode more
 #: often, tests with a shaker or a hammer hardly ever.

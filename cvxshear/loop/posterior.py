@@ -12,7 +12,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.fit import gauss_newton, results
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.hypotheses import Changes, Hypothesis, NumberingProbability, log_odds
+from cvxshear.loop.hypotheses import MANY_CAUSES, Changes, Hypothesis, NumberingProbability, log_odds
 from cvxshear.loop.search import fits_alike
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import decorators, ranking
@@ -29,11 +29,9 @@ RAISED = 3.0
 #: Smallest probability, relative to the best set, of a set whose effects count as rivals.
 RIVAL = 0.05
 
-MANY_CAUSES = 3
-#: Probability of an unknown cause that imitates several kinds of effects in one state (or in the frame). MANY_CAUSES is
-#: the smallest number of kinds that counts. UNKNOWN_CAUSE is the prior probability of such a cause for that number.
-#: WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three
-#: kinds of effects imitate one in two hundred of these causes, five kinds half of them.
+#: Prior probability of an unknown cause that imitates `MANY_CAUSES` kinds of effects in one state (or in the frame),
+#: and the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three kinds of effects
+#: imitate one in two hundred of these causes, five kinds half of them.
 UNKNOWN_CAUSE, WITH_EACH_MORE = 1e-4, 10.0
 
 

@@ -21,7 +21,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
-from cvxshear.loop.hypotheses import OPEN
+from cvxshear.loop.hypotheses import MANY_CAUSES, OPEN
 from cvxshear.loop.linear import Linearised
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
@@ -125,9 +125,13 @@ class Search:
 
     @property
     def _leaders(self) -> list[ModelClass]:
-        """The best set, and the best set of causes: an open class that fits the effect of several causes hides them."""
-        causes = [model for model in self.beam if not holds_open(model.effects)]
-        return [self.best, *causes[:1]]
+        """The best set, and the best set of causes: an open class that fits the effect of several causes hides them.
+
+        An unknown cause is more probable than many kinds of causes, so such a set is not expanded while it is behind.
+        """
+        causes = next(model for model in self.beam if not holds_open(model.effects))
+        kinds = {placed.effect.name for placed in causes.effects}
+        return [self.best, causes] if len(kinds) < MANY_CAUSES else [self.best]
 
     @property
     def _near(self) -> list[ModelClass]:

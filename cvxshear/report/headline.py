@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
-from cvxshear.loop.hypotheses import Changes
-from cvxshear.loop.posterior import ADDED, MANY_CAUSES
+from cvxshear.loop.hypotheses import MANY_CAUSES, Changes
+from cvxshear.loop.posterior import ADDED
 from cvxshear.loop.results import VERDICTS, AddedEffect, by_part
 from cvxshear.report.blocks import Section, section, table_of_rows
 from cvxshear.util import ranking
