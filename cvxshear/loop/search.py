@@ -127,7 +127,7 @@ class Search:
     def _leaders(self) -> list[ModelClass]:
         """The best set, and the best set of causes: an open class that fits the effect of several causes hides them.
 
-        An unknown cause is more probable than many kinds of causes, so such a set is not expanded while it is behind.
+        Many kinds of causes lose against one unknown cause, so a set with many is not expanded while it is behind.
         """
         causes = next(model for model in self.beam if not holds_open(model.effects))
         kinds = {placed.effect.name for placed in causes.effects}
@@ -520,9 +520,9 @@ def foremost(ordered: Iterable[Item], effects_of: Callable[[Item], Set]) -> list
     classes: list[Set] = []
     for item in ordered:
         effects = effects_of(item)
-        if not holds_open(effects):
-            kept += [item] if len(kept) - len(classes) < BEAM else []
-        elif len(classes) < BEAM // 2 and not any(better < effects for better in classes):
+        if not holds_open(effects) and len(kept) - len(classes) < BEAM:
+            kept.append(item)
+        if holds_open(effects) and len(classes) < BEAM // 2 and not any(better < effects for better in classes):
             kept.append(item)
             classes.append(effects)
     return kept
